@@ -313,8 +313,9 @@ def diagnosis_input(calibration: Calibration, without: Sequence[str] = ()) -> Di
     recording, context = build_context(calibration)
     subject, result = calibration.subject, calibration.result
     trials, solution = subject.trials, result.solution
-    problem = solution.problem
-    assert isinstance(problem, Objective)
+    calibrated = solution.problem
+    assert isinstance(calibrated, Objective)
+    problem = calibrated
     if problem.variables.modes:
         problem = _with_held_paths(problem, result)
     cache = Store.of_user("diagnoses")
@@ -338,6 +339,8 @@ def diagnosis_input(calibration: Calibration, without: Sequence[str] = ()) -> Di
     return DiagnosisInput(
         problem=law.held,
         law=law,
+        calibrated=calibrated,
+        solver_state=solution.state,
         variables=law.variables,
         outcomes=result.outcomes,
         recording=recording,

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from wrapjax.calibration.objective import Objective
+from wrapjax.calibration.solvers.augmented_lagrangian import LagrangianState
 from wrapjax.calibration.solvers.multistart import Outcome
 from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.cross_validation import CrossValidationPlan, PredictMoments, cross_validation_plan
@@ -48,6 +49,8 @@ class DiagnosisInput:
         and the person's muscle law held; and the variables at which it ended.
     law
         Fit of the muscle law.
+    calibrated, solver_state
+        Objective of the calibration as it was, free paths included, and the state at which it ended.
     outcomes
         Result of each start of the calibration.
     recording, context
@@ -68,6 +71,8 @@ class DiagnosisInput:
 
     problem: Objective
     law: MuscleLawFit
+    calibrated: Objective
+    solver_state: LagrangianState
     variables: Float[np.ndarray, " variable"]
     outcomes: Sequence[Outcome]
     recording: Recording

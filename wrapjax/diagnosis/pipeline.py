@@ -20,7 +20,6 @@ from wrapjax.diagnosis.claim import examine_claim
 from wrapjax.diagnosis.decision import DecisionConstants, decide, subsets_to_refit
 from wrapjax.diagnosis.gates import adequacy_of_plain_model
 from wrapjax.diagnosis.input import DiagnosisInput
-from wrapjax.diagnosis.joint_places import joint_place_errors
 from wrapjax.diagnosis.law_evidence import law_evidence
 from wrapjax.diagnosis.linearization import linearize
 from wrapjax.diagnosis.localization import localize
@@ -29,6 +28,7 @@ from wrapjax.diagnosis.other_tasks import OtherTasks, task_evidence
 from wrapjax.diagnosis.refit import Ids, Refit, effects_to_refit, refit
 from wrapjax.diagnosis.result import DiagnosisResult, diagnosis_result, result_without_diagnosis
 from wrapjax.diagnosis.score import score
+from wrapjax.diagnosis.uncertain_joints import uncertain_joints
 from wrapjax.diagnosis.verification import verify
 from wrapjax.progress import Stopwatch
 
@@ -111,7 +111,7 @@ def run_diagnosis(
     with watch.during("signatures", "computing the signature of every effect"):
         linearized = linearize(data, baseline.variables)
         localization = localize(data, baseline, linearized)
-        places = joint_place_errors(data, linearized, baseline.variables)
+        joints = uncertain_joints(data, linearized, baseline.variables)
     null_residuals = None if known is None else known.null_residuals
     if null_residuals is None:
         with watch.during("twins", f"simulating {null_replicates} null replicates"):
@@ -165,7 +165,7 @@ def run_diagnosis(
         decision=decision,
         law_evidence=laws,
         task_evidence=of_tasks,
-        joint_places=places,
+        joints=joints,
         seconds=watch.seconds,
     )
     return result, CatalogueIndependent(baseline, null_residuals)

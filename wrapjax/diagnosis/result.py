@@ -18,7 +18,6 @@ from wrapjax.diagnosis.effects.effect import Effect, Effects, NotTestable
 from wrapjax.diagnosis.gates import Gates
 from wrapjax.diagnosis.input import DiagnosisInput
 from wrapjax.diagnosis.joint_fit import effect_size_covariance
-from wrapjax.diagnosis.joint_places import JointPlaceError
 from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.localization import BINS, ErrorBudget, Localization, MuscleShare
 from wrapjax.diagnosis.noise_floor import Estimate
@@ -26,6 +25,7 @@ from wrapjax.diagnosis.other_tasks import TaskEvidence
 from wrapjax.diagnosis.refit import Ids, Refit
 from wrapjax.diagnosis.score import Scores
 from wrapjax.diagnosis.score_test import MIN_DETECTABILITY, Score
+from wrapjax.diagnosis.uncertain_joints import UncertainJoints
 from wrapjax.diagnosis.undriven_capacity import CapacityShare, undriven_capacity
 from wrapjax.diagnosis.verification import Verification, VerifiedRefit, shapley_values
 
@@ -126,9 +126,8 @@ class DiagnosisResult:
         Share of the moment capacity of muscles without EMG, by coordinate.
     task_evidence
         What tasks other than gait added to the evidence; None if there are none.
-    joint_places
-        What one standard deviation of the place of each joint does; empty without a diagnosis, or where the
-        recording does not show it.
+    joints
+        What uncertain places of joints do; None without a diagnosis, or where the recording does not show it.
     """
 
     outcome: str
@@ -172,7 +171,7 @@ class DiagnosisResult:
     law_evidence: dict[str, float] = field(default_factory=dict)
     undriven_capacity: Mapping[str, CapacityShare] = field(default_factory=dict)
     task_evidence: TaskEvidence | None = None
-    joint_places: tuple[JointPlaceError, ...] = ()
+    joints: UncertainJoints | None = None
 
 
 def result_without_diagnosis(
@@ -262,7 +261,7 @@ def diagnosis_result(
     law_evidence: dict[str, float],
     seconds: dict[str, float],
     task_evidence: TaskEvidence | None = None,
-    joint_places: tuple[JointPlaceError, ...] = (),
+    joints: UncertainJoints | None = None,
 ) -> DiagnosisResult:
     """Assemble the result of a diagnosis from the results of all steps.
 
@@ -280,7 +279,7 @@ def diagnosis_result(
         Time of each step, s.
     task_evidence
         What tasks other than gait added to the evidence.
-    joint_places
+    joints
         What uncertain places of joints do.
     """
     probability = decision.probabilities
@@ -328,7 +327,7 @@ def diagnosis_result(
         best_partial=decision.best_partial,
         gates=decision.gates,
         task_evidence=task_evidence,
-        joint_places=joint_places,
+        joints=joints,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -106,46 +107,65 @@ def _direction(
     )
 
 
-def place_spread(
-    joint: Joint, parameters: Sequence[FreedParameter], known: Posterior
-) -> dict[str, list[float | None]]:
-    """Compute standard deviations of a joint's place in its parent body, scale of the body included.
+def place_spreads(
+    joints: Sequence[Joint], parameters: Sequence[FreedParameter], known: Posterior
+) -> dict[str, dict[str, Any]]:
+    """Compute how sure the places of joints in their parent bodies are, scales of the bodies included.
 
     Parameters
     ----------
-    joint
-        Joint of the starting model.
+    joints
+        Joints of the starting model whose places or bodies were freed.
     parameters, known
         Freed parameters and their posterior.
 
     Returns
     -------
     dict
-        ``translation_m`` along, and ``orientation_rad`` about, each axis of the parent body; None where the
-        joint's frame is not freed.
+        By name of the joint: standard deviations ``translation_m`` along, and ``orientation_rad`` about, each
+        axis of the parent body, None where the joint's frame is not freed; and ``correlation``, by name of
+        each joint, of the three translations and three orientations (rows) with those of that joint
+        (columns), zero where not freed.
     """
-    along, about = np.zeros((2, 3, len(parameters)))
-    origin, rotation = np.asarray(joint.in_parent.translation), np.asarray(joint.in_parent.rotation)
-    for column, entry in enumerate(parameters):
-        axes = slice(None) if entry.axis < 0 else entry.axis
-        if entry.kind == "scale" and entry.owner == joint.parent_body:
-            along[axes, column] = origin[axes]
-        elif entry.kind == "parent_translation" and entry.owner == joint.name:
-            along[axes, column] = 1.0
-        elif entry.kind == "parent_orientation" and entry.owner == joint.name:
-            about[:, column] = rotation[:, entry.axis]
     prior = np.array([entry.sd for entry in parameters])
     covariance = known.correlated * np.outer(prior, prior)
-    moved = {entry.axis for entry in parameters if _is(entry, joint, "parent_translation")}
-    turned = any(_is(entry, joint, "parent_orientation") for entry in parameters)
-    translation, orientation = (
-        np.sqrt(np.diagonal(rows @ covariance @ rows.T)).tolist() for rows in (along, about)
-    )
-    return {
-        "translation_m": [value if axis in moved else None for axis, value in enumerate(translation)],
-        "orientation_rad": [value if turned and value > 0.0 else None for value in orientation],
+    moved = {joint.name: _movements(joint, parameters) for joint in joints}
+    sd = {
+        name: np.sqrt(np.einsum("ij,jk,ik->i", rows, covariance, rows).clip(0.0))
+        for name, rows in moved.items()
     }
+    scaled = {
+        name: np.divide(rows, sd[name][:, None], out=np.zeros_like(rows), where=sd[name][:, None] > 0.0)
+        for name, rows in moved.items()
+    }
+    spreads = {}
+    for name, values in sd.items():
+        places: list[float | None] = [value if value > 0.0 else None for value in values.tolist()]
+        spreads[name] = {
+            "translation_m": places[:3],
+            "orientation_rad": places[3:],
+            "correlation": {
+                other: (scaled[name] @ covariance @ rows.T).tolist() for other, rows in scaled.items()
+            },
+        }
+    return spreads
 
 
-def _is(entry: FreedParameter, joint: Joint, kind: str) -> bool:
-    return entry.kind == kind and entry.owner == joint.name
+def _movements(joint: Joint, parameters: Sequence[FreedParameter]) -> Float[np.ndarray, "6 parameter"]:
+    """Differentiate the place of a joint in its parent body by the parameters; zero where it is held."""
+    rows = np.zeros((6, len(parameters)))
+    origin, rotation = np.asarray(joint.in_parent.translation), np.asarray(joint.in_parent.rotation)
+    for column, entry in enumerate(parameters):
+        axes = slice(3) if entry.axis < 0 else entry.axis
+        if entry.kind == "scale" and entry.owner == joint.parent_body:
+            rows[axes, column] = origin[axes]
+        elif entry.kind == "parent_translation" and entry.owner == joint.name:
+            rows[axes, column] = 1.0
+        elif entry.kind == "parent_orientation" and entry.owner == joint.name:
+            rows[3:, column] = rotation[:, entry.axis]
+    freed = {
+        entry.axis for entry in parameters if entry.kind == "parent_translation" and entry.owner == joint.name
+    }
+    # The axes of a joint whose place is not freed are those of the scaled model.
+    rows[[axis for axis in range(3) if axis not in freed]] = 0.0
+    return rows

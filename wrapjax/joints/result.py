@@ -14,7 +14,7 @@ from wrapjax.calibration.solvers.interface import Status
 from wrapjax.geometry.model_description import ModelDescription
 from wrapjax.io.files import new_folder, write_json, write_text
 from wrapjax.joints.freed_parameters import AXES, FRAME_KINDS, FreedParameter
-from wrapjax.joints.identifiability import Posterior, place_spread
+from wrapjax.joints.identifiability import Posterior, place_spreads
 from wrapjax.joints.settings import JointSettings
 from wrapjax.preprocessing.inverse_kinematics import InverseKinematics
 
@@ -113,7 +113,7 @@ class JointPersonalisation:
             "seconds": self.seconds,
             "rms_mm": {name: None if value is None else 1e3 * value for name, value in self.rms.items()},
             "trials": {trial.name: _trial_summary(trial) for trial in self.trials},
-            "joints": {name: self._joint(name) for name in self._owners(FRAME_KINDS)},
+            "joints": self._joints(),
             "scales": {name: self._other("scale", name) for name in self._owners(("scale",))},
             "markers": {name: self._other("marker", name) for name in self._owners(("marker",))},
             "undetermined": [
@@ -188,14 +188,20 @@ class JointPersonalisation:
     def _owners(self, kinds: Iterable[str]) -> list[str]:
         return list(dict.fromkeys(entry.owner for entry in self.parameters if entry.kind in kinds))
 
-    def _joint(self, name: str) -> dict[str, Any]:
+    def _joints(self) -> dict[str, dict[str, Any]]:
+        """Describe the personalised joints, by name."""
+        names = self._owners(FRAME_KINDS)
+        started = [entry for entry in self.before.joints if entry.name in names]
+        spreads = place_spreads(started, self.parameters, self.posterior)
+        return {name: self._joint(name, spreads[name]) for name in names}
+
+    def _joint(self, name: str, spread: dict[str, Any]) -> dict[str, Any]:
         """Describe a joint: poses of its frames, changes, standard deviations, and what markers determine."""
         joint = next(entry for entry in self.after.joints if entry.name == name)
         poses = {"parent": joint.in_parent, "child": joint.in_child}
-        start = next(entry for entry in self.before.joints if entry.name == name)
         content: dict[str, Any] = {
             "coordinates": list(joint.coordinates),
-            "spread": place_spread(start, self.parameters, self.posterior),
+            "spread": spread,
             "translation_m": {side: list(pose.translation) for side, pose in poses.items()},
             "orientation_rad": {side: _xyz_angles(pose.rotation) for side, pose in poses.items()},
             "change": {},

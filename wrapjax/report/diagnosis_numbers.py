@@ -157,7 +157,7 @@ def describe_diagnosis(subject: Subject, result: DiagnosisResult) -> dict[str, A
         "advice": [asdict(one) for one in result.advice],
         "muscle_law": {"parameters": result.muscle_law, "evidence_nats": result.law_evidence},
         "undriven_capacity": {name: asdict(one) for name, one in result.undriven_capacity.items()},
-        "joint_places": [asdict(one) for one in result.joint_places],
+        "uncertain_joints": None if result.joints is None else asdict(result.joints),
         "withheld": result.withheld,
         "trials": {
             name: {"use": use, "speed_m_s": float(speed), "file": files[recording]}

@@ -14,7 +14,7 @@ from wrapjax.muscle.personal_law import LAW_PARAMETERS
 from wrapjax.muscle.published_laws import PUBLISHED_LAWS
 from wrapjax.report import markup
 from wrapjax.report.diagnosis_effects import evidence_section, signature_section, ties_section
-from wrapjax.report.diagnosis_joints import joint_places_section
+from wrapjax.report.diagnosis_joints import uncertain_joints_section
 from wrapjax.report.diagnosis_location import location_section, muscles_section, parts_section
 from wrapjax.report.diagnosis_numbers import describe_diagnosis, moment_table
 from wrapjax.report.diagnosis_shrinkage import released_section, shrinkage_section
@@ -161,7 +161,7 @@ def render_diagnosis(subject: Subject, result: DiagnosisResult, note: str = "", 
             muscles_section(result),
             _untested_section(result),
             _muscle_law_section(result),
-            joint_places_section(result.joint_places),
+            uncertain_joints_section(result.joints),
             convergence_section(result),
             _notes_section(subject, result),
         ],

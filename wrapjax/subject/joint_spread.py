@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.json_and_arrays import load_json
@@ -27,10 +30,16 @@ class JointSpread:
         Along the body's axes, m; None where not personalised.
     orientation
         Of rotations of the joint's frame about the body's axes, rad; None where not personalised.
+    correlation
+        By coordinate of each joint: correlation of translations and orientations (rows) with those of that
+        joint (columns). Empty where the folder has none.
     """
 
     translation: tuple[float | None, ...]
     orientation: tuple[float | None, ...]
+    correlation: Mapping[str, Float[np.ndarray, "6 6"]] = field(
+        default_factory=dict, compare=False, repr=False
+    )
 
 
 def read_joint_spread(path: Path, coordinates: Collection[str]) -> dict[str, JointSpread]:
@@ -66,12 +75,14 @@ def read_joint_spread(path: Path, coordinates: Collection[str]) -> dict[str, Joi
         raise InputError(Problem(str(file), "expected a table 'joints' of personalised joints, found none"))
     found: dict[str, JointSpread] = {}
     problems: list[Problem] = []
+    names = {name: _coordinates(joint) for name, joint in joints.items()}
     for name, joint in joints.items():
-        spread = _spread(joint)
+        spread = _spread(joint, names)
         if spread is None:
             message = (
                 "expected coordinates, and under spread three standard deviations each of translation_m and "
-                "orientation_rad, positive or null, found something else"
+                "orientation_rad, positive or null, and correlations of six with six places, found something "
+                "else"
             )
             problems.append(Problem(str(file), message, f"joint {name}"))
             continue
@@ -86,12 +97,16 @@ def read_joint_spread(path: Path, coordinates: Collection[str]) -> dict[str, Joi
     return found
 
 
-def _spread(joint: Any) -> JointSpread | None:
-    """Read the standard deviations of a joint's entry; None where it is not of the expected form."""
-    if not isinstance(joint, dict) or not isinstance(joint.get("spread"), dict):
-        return None
-    names = joint.get("coordinates")
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+def _coordinates(joint: Any) -> list[str] | None:
+    """Read the names of a joint's coordinates; None where they are not of the expected form."""
+    names = joint.get("coordinates") if isinstance(joint, dict) else None
+    is_list = isinstance(names, list) and all(isinstance(name, str) for name in names)
+    return names if is_list else None
+
+
+def _spread(joint: Any, coordinates: Mapping[str, list[str] | None]) -> JointSpread | None:
+    """Read a joint's entry, given the coordinates of all; None where it is not of the expected form."""
+    if _coordinates(joint) is None or not isinstance(joint.get("spread"), dict):
         return None
     parts = [joint["spread"].get(key) for key in _LARGEST]
     for values, largest in zip(parts, _LARGEST.values(), strict=True):
@@ -101,4 +116,23 @@ def _spread(joint: Any) -> JointSpread | None:
             number = isinstance(value, (int, float)) and not isinstance(value, bool)
             if value is not None and not (number and 0.0 < value <= largest):
                 return None
-    return JointSpread(tuple(parts[0]), tuple(parts[1]))
+    correlation = joint["spread"].get("correlation", {})
+    if not isinstance(correlation, dict):
+        return None
+    by_coordinate: dict[str, Float[np.ndarray, "6 6"]] = {}
+    for other, rows in correlation.items():
+        matrix = _correlation(rows)
+        if matrix is None:
+            return None
+        by_coordinate |= dict.fromkeys(coordinates.get(other) or (), matrix)
+    return JointSpread(tuple(parts[0]), tuple(parts[1]), by_coordinate)
+
+
+def _correlation(rows: Any) -> Float[np.ndarray, "6 6"] | None:
+    """Read correlations of six places with six; None where they are not of the expected form."""
+    try:
+        matrix = np.array(rows, dtype=float)
+    except (TypeError, ValueError):
+        return None
+    # Rounding may exceed one.
+    return matrix if matrix.shape == (6, 6) and np.all(np.abs(matrix) <= 1.0 + 1e-9) else None

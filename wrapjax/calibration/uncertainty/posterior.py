@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -25,6 +26,9 @@ from wrapjax.calibration.solvers.augmented_lagrangian import LagrangianState
 from wrapjax.calibration.solvers.interface import AbstractCalibration
 from wrapjax.calibration.two_legs import TwoLegObjective
 from wrapjax.calibration.uncertainty.residual_noise import ResidualNoise, residual_noise
+from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, PARAMETERS
+from wrapjax.model.parameters import QUANTITIES
+from wrapjax.model.variables import Variables
 
 # Curvature times the squared width of the bounds, added for variables that neither priors nor moments
 # determine (nearly constant within the bounds); and smallest precision of a prior whose mean is randomized.
@@ -58,6 +62,8 @@ class Posterior:
         The same factor for priors and penalties: the number of muscles that their means are over.
     curvature
         Gauss-Newton curvature of the cost, including active hard limits.
+    remainder
+        What second derivatives of the residuals add to it.
     prior_curvature
         Gauss-Newton curvature of priors and penalties.
     gradient
@@ -77,6 +83,7 @@ class Posterior:
     information: float
     prior_information: float
     curvature: _Matrix = field(repr=False)
+    remainder: _Matrix = field(repr=False)
     prior_curvature: _Matrix = field(repr=False)
     gradient: Float[np.ndarray, " variable"] = field(repr=False)
     prior_gradient: Float[np.ndarray, " variable"] = field(repr=False)
@@ -111,9 +118,7 @@ class Posterior:
         free, bounded = np.flatnonzero(position == 0), np.flatnonzero(abs(position) == 1)
         order = np.concatenate([bounded, free])
         total = self.curvature + _flat(self.problem)
-        inverse = np.linalg.inv(total[np.ix_(free, free)])
-        noise = self.gradient_noise + self.prior_curvature / self.prior_information
-        free_covariance = inverse @ noise[np.ix_(free, free)] @ inverse
+        inverse, free_covariance = self._inverse(free), self._free_covariance(free)
         response = -inverse @ total[np.ix_(free, bounded)]
         profile = total[np.ix_(bounded, bounded)] + total[np.ix_(bounded, free)] @ response
         weight = min(self.information, self.prior_information)
@@ -126,6 +131,36 @@ class Posterior:
         )
         mean = -bounded_covariance @ (weight * self.gradient[bounded])
         return self._draw(np.concatenate([mean, response @ mean]), covariance, order, count, seed)
+
+    def step(self, gradients: Float[np.ndarray, "variable change"]) -> Float[np.ndarray, "variable change"]:
+        """Compute how far the solution moves, to first order, for changes of half the gradient of the cost.
+
+        Variables at a bound stay there. Where the curvature is not positive in all directions, as it is at a
+        minimum, that of Gauss-Newton is taken.
+        """
+        free = np.flatnonzero(self.at_bound == 0)
+        full = (self.curvature + self.remainder + _flat(self.problem))[np.ix_(free, free)]
+        moved = np.zeros_like(gradients)
+        try:
+            moved[free] = -scipy.linalg.cho_solve(scipy.linalg.cho_factor(full), gradients[free])
+        except np.linalg.LinAlgError:
+            moved[free] = -self._inverse(free) @ gradients[free]
+        return moved
+
+    def deviation(self) -> Float[np.ndarray, " variable"]:
+        """Compute the standard deviation of each free variable given the others' bounds; NaN at a bound."""
+        free = np.flatnonzero(self.at_bound == 0)
+        deviation = np.full(len(self.solution), np.nan)
+        deviation[free] = np.sqrt(np.diagonal(self._free_covariance(free)))
+        return deviation
+
+    def _inverse(self, free: Int[np.ndarray, " free"]) -> Float[np.ndarray, "free free"]:
+        return np.linalg.inv((self.curvature + _flat(self.problem))[np.ix_(free, free)])
+
+    def _free_covariance(self, free: Int[np.ndarray, " free"]) -> Float[np.ndarray, "free free"]:
+        inverse = self._inverse(free)
+        noise = self.gradient_noise + self.prior_curvature / self.prior_information
+        return inverse @ noise[np.ix_(free, free)] @ inverse
 
     def sample_prior(self, count: int, seed: int) -> Float[np.ndarray, "draw variable"]:
         """Draw from the distribution given by priors, penalties and bounds alone; see `laplace`."""
@@ -242,12 +277,36 @@ def posterior(
         information=float(traces[0] / traces[1]),
         prior_information=float(max(len(leg.variables.index) for leg, _ in leg_objectives(problem))),
         curvature=curvature,
+        remainder=np.asarray(full.remainder),
         prior_curvature=prior_curvature,
         gradient=np.asarray(full.gradient),
         prior_gradient=np.asarray(priors.gradient),
         moment_gradient=moment_gradient,
         gradient_noise=gradient_noise,
     )
+
+
+class PhysicalUnits(NamedTuple):
+    """How variables in solver units give parameters: ``offset + scale * variables``, each in its unit."""
+
+    offset: Float[np.ndarray, " variable"]
+    scale: Float[np.ndarray, " variable"]
+    units: tuple[str, ...]
+
+
+def physical_units(variables: Variables) -> PhysicalUnits:
+    """Return the SI units of the variables of a leg; parameters of wraps count from their nominal values."""
+    names = [label.rsplit(".", 1)[1] for label in variables.labels]
+    offset = [NOMINAL_PARAMETERS[PARAMETERS.index(name)] if name in PARAMETERS else 0.0 for name in names]
+    scale = np.asarray(variables.scale).ravel()[np.asarray(variables.places)[0]]
+    return PhysicalUnits(np.array(offset), scale, tuple(map(_unit, names)))
+
+
+def _unit(name: str) -> str:
+    """Return the unit of a muscle parameter, wrap parameter or path mode."""
+    if name in QUANTITIES:
+        return QUANTITIES[name].unit
+    return {"m": "m", "rad": "rad"}.get(name.rsplit("_", 1)[-1], "1")
 
 
 def leg_objectives(problem: AbstractCalibration) -> list[tuple[Objective, Int[np.ndarray, " own"]]]:

@@ -19,11 +19,15 @@ from wrapjax.calibration.solvers.checkpoints import Checkpoints
 from wrapjax.calibration.solvers.interface import AbstractCalibration, Status
 from wrapjax.calibration.two_legs import join_leg_objectives
 from wrapjax.calibration.uncertainty.intervals import LegSpread, summarize_draws
-from wrapjax.calibration.uncertainty.posterior import Posterior, leg_objectives, moments_and_slopes, posterior
+from wrapjax.calibration.uncertainty.posterior import (
+    Posterior,
+    leg_objectives,
+    moments_and_slopes,
+    physical_units,
+    posterior,
+)
 from wrapjax.errors import InputError, Problem
-from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, PARAMETERS
 from wrapjax.model.forward import joint_moments
-from wrapjax.model.parameters import QUANTITIES
 from wrapjax.model.variables import Variables
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.model_inputs import recording
@@ -210,7 +214,7 @@ def uncertainty(
     Raises
     ------
     InputError
-        If the calibration has trials of other tasks than gait.
+        If the calibration has trials of other tasks than gait, or with given numbers of samples.
     ValueError
         If the method is unknown, or there are fewer than 2 draws.
     KeyboardInterrupt
@@ -232,6 +236,11 @@ def uncertainty(
             message = "expected gait cycles alone, whose residuals recur phase by phase, found other tasks"
             raise InputError(
                 Problem(str(leg.subject.folder), message, hint="calibrate without --uncertainty")
+            )
+        if leg.subject.trials.given_samples is not None:
+            message = "expected gait cycles that all count alike, found trials with 'samples'"
+            raise InputError(
+                Problem(str(leg.subject.folder), message, hint="leave out --uncertainty or 'samples'")
             )
     solution = calibration.result.solution
     problem, speeds = _problem(calibration)
@@ -296,11 +305,7 @@ def _leg_spread(
     low: Float[np.ndarray, "trial coordinate frame"],
     high: Float[np.ndarray, "trial coordinate frame"],
 ) -> LegSpread:
-    scale = np.asarray(variables.scale).ravel()[np.asarray(variables.places)[0]]
-    names = [label.rsplit(".", 1)[1] for label in variables.labels]
-    offset = np.array(
-        [NOMINAL_PARAMETERS[PARAMETERS.index(name)] if name in PARAMETERS else 0.0 for name in names]
-    )
+    offset, scale, units = physical_units(variables)
     draws, prior = (offset + scale * one[:, place] for one in (variable_draws, prior_draws))
     noise = distribution.noise[number]
     return LegSpread(
@@ -311,7 +316,7 @@ def _leg_spread(
             offset + scale * distribution.solution[place],
             distribution.at_bound[place],
             variables.labels,
-            tuple(map(_unit, names)),
+            units,
         ),
         draws=draws,
         converged=converged,
@@ -321,13 +326,6 @@ def _leg_spread(
         independent_samples=noise.independent,
         information=distribution.information,
     )
-
-
-def _unit(name: str) -> str:
-    """Return the unit of a muscle parameter, wrap parameter or path mode."""
-    if name in QUANTITIES:
-        return QUANTITIES[name].unit
-    return {"m": "m", "rad": "rad"}.get(name.rsplit("_", 1)[-1], "1")
 
 
 def _linear_band(

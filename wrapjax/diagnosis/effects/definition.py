@@ -109,6 +109,25 @@ class JointPlace:
     quantity: str
     axis: int
 
+    @property
+    def row(self) -> int:
+        """Number among the three translations and the three orientations of the joint."""
+        return self.axis + (3 if self.quantity == "orientation" else 0)
+
+    def sign(self, outward: float) -> float:
+        """Give the sign of a movement along or about the axis that is a positive effect size.
+
+        Parameters
+        ----------
+        outward
+            1 for the right leg, -1 for the left.
+        """
+        # On a right leg, outward is clockwise seen from above, and the outer end of an axis goes up
+        # counterclockwise seen from behind; a front end always goes up about the direction to the right.
+        if self.quantity == "translation":
+            return outward if self.axis == 2 else 1.0
+        return 1.0 if self.axis == 2 else -outward
+
 
 #: Beginning of the source of the priors of a joint's place that markers determine.
 FROM_MARKERS = "joint personalised from markers"

@@ -194,15 +194,15 @@ JOINT_CENTER_SPREAD = EffectDefinition(
 
 # ---- Joint axes
 
-#: For each parameter of `JOINT_AXIS_ROTATION`: start of the coordinate's name, and the axis of the body that
-#: carries the joint (forward, up, to the right) about which the joint's axis is rotated.
+#: For each parameter of `JOINT_AXIS_ROTATION`: the axis of the body that carries the joint (forward, up, to
+#: the right) about which the joint's axis is rotated.
 _AXIS_ROTATIONS = (
-    ("knee_angle", 1),
-    ("knee_angle", 0),
-    ("ankle_angle", 1),
-    ("ankle_angle", 0),
-    ("subtalar_angle", 1),
-    ("subtalar_angle", 2),
+    JointPlace("knee_angle", "orientation", 1),
+    JointPlace("knee_angle", "orientation", 0),
+    JointPlace("ankle_angle", "orientation", 1),
+    JointPlace("ankle_angle", "orientation", 0),
+    JointPlace("subtalar_angle", "orientation", 1),
+    JointPlace("subtalar_angle", "orientation", 2),
 )
 
 
@@ -215,31 +215,16 @@ def _moments_by_joint_axes(gait: RecordedGait) -> dict[str, MomentDerivatives]:
     """
     mechanics, wrench = gait.mechanics, gait.transmitted_wrenches()
     held, displaced = gait.no_change(len(_AXIS_ROTATIONS)), gait.no_change(len(_AXIS_ROTATIONS))
-    for number, (stem, column) in enumerate(_AXIS_ROTATIONS):
-        sign = _rotation_sign(column, gait.outward)
-        for row in gait.rows_of(stem):
+    for number, place in enumerate(_AXIS_ROTATIONS):
+        sign = place.sign(gait.outward)
+        for row in gait.rows_of(place.stem):
             moment = wrench[row, :3] - np.cross(mechanics.joint_center[row], wrench[row, 3:], axis=0)
-            about = sign * mechanics.rotation[_carrier(gait, row), :, column]
+            about = sign * mechanics.rotation[_carrier(gait, row), :, place.axis]
             rotated = np.cross(about, mechanics.screw[row, :3], axis=0)
             held[number, row] = (rotated * moment).sum(axis=0)
             name = mechanics.coordinates[row]
-            displaced[number] += gait.derivative_by_joint(name, np.zeros(3), sign * np.eye(3)[column])
+            displaced[number] += gait.derivative_by_joint(name, np.zeros(3), sign * np.eye(3)[place.axis])
     return {FOOT_HELD: held, FOOT_DISPLACED: displaced}
-
-
-def _rotation_sign(column: int, outward: float) -> float:
-    """Give the sign of a rotation about an axis of the carrying body for a positive effect size.
-
-    Parameters
-    ----------
-    column
-        Axis of the body that carries the joint: forward, up, to the right.
-    outward
-        1 for the right leg, -1 for the left.
-    """
-    # On a right leg, outward is clockwise seen from above, and the outer end of an axis goes up
-    # counterclockwise seen from behind; a front end always goes up about the direction to the right.
-    return 1.0 if column == 2 else -outward
 
 
 def _carrier(gait: RecordedGait, coordinate: int) -> int:
@@ -256,10 +241,7 @@ def _paths_by_joint_axes(recorded: RecordedPaths) -> Mapping[str, PathState]:
     outward = recorded.gait.outward
     return _paths_by_joints(
         recorded,
-        [
-            (with_rotated_joint_axes, stem, axis, _rotation_sign(axis, outward))
-            for stem, axis in _AXIS_ROTATIONS
-        ],
+        [(with_rotated_joint_axes, place.stem, place.axis, place.sign(outward)) for place in _AXIS_ROTATIONS],
     )
 
 
@@ -289,7 +271,7 @@ JOINT_AXIS_ROTATION = EffectDefinition(
         _axis_parameter("subtalar_rad", 0.15, "subtalar axis turned outward in the horizontal plane"),
         _axis_parameter("subtalar_pitch_rad", 0.12, "subtalar axis with its front end too high"),
     ),
-    joint_places=tuple(JointPlace(stem, "orientation", axis) for stem, axis in _AXIS_ROTATIONS),
+    joint_places=_AXIS_ROTATIONS,
     moment_derivatives=_moments_by_joint_axes,
     path_derivatives=_paths_by_joint_axes,
     experiment=STAR_ARC_MOVEMENTS,
