@@ -152,3 +152,7 @@ def test_one_task_cannot_be_left_out(mixed, calibrated):
 def test_uncertainty_names_what_it_cannot_treat(calibrated):
     with pytest.raises(InputError, match="found other tasks"):
         uncertainty(calibrated)
+    gait = calibrated.subject.trials.only_gait()
+    weighted = replace(calibrated.subject, trials=replace(gait, given_samples=np.full(len(gait), 7.0)))
+    with pytest.raises(InputError, match="found trials with 'effective_samples'"):
+        uncertainty(replace(calibrated, subject=weighted))

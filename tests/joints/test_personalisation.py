@@ -9,6 +9,7 @@ import pytest
 from tests.joints.person import JOINTS, make_person, settings_text
 from wrapjax.cli.command_line import main
 from wrapjax.errors import InputError
+from wrapjax.joints.identifiability import place_spreads
 from wrapjax.joints.nmsm_settings import read_nmsm_settings
 from wrapjax.joints.personalisation import personalize_joints
 from wrapjax.joints.settings import JointSettings, MarkerTrial, read_joint_settings
@@ -92,6 +93,25 @@ def test_priors_keep_what_markers_do_not_determine(settings, recovered):
     assert (kept.posterior.sd <= [entry.sd * (1.0 + 1e-9) for entry in kept.parameters]).all()
 
 
+def test_places_of_joints_have_the_posterior_of_what_places_them(recovered):
+    """Without scales, the change of a joint's place is that of its own parameters."""
+    spreads = place_spreads(recovered.before.joints, recovered.parameters, recovered.posterior)
+    rows = [
+        (row, entry)
+        for row, entry in enumerate(recovered.parameters)
+        if entry.kind == "parent_translation" and entry.owner in ("hip_r", "knee_r")
+    ]
+    covariance = recovered.posterior.correlated
+    for first, one in rows:
+        assert spreads[one.owner]["translation_m"][one.axis] == pytest.approx(recovered.posterior.sd[first])
+        for second, other in rows:
+            expected = covariance[first, second] / np.sqrt(
+                covariance[first, first] * covariance[second, second]
+            )
+            found = spreads[one.owner]["correlation"][other.owner][one.axis][other.axis]
+            assert found == pytest.approx(expected, abs=1e-9)
+
+
 def test_command_writes_the_contract_and_a_model_that_opens(person, tmp_path, capsys):
     rng = np.random.default_rng(1)
     noise = np.cumsum(rng.normal(0.0, 0.001, person.markers.positions.shape), axis=1)
@@ -116,6 +136,11 @@ def test_command_writes_the_contract_and_a_model_that_opens(person, tmp_path, ca
     freed_sd = content["joints"]["hip_r"]["sd"]["translation_m"]["parent"]
     np.testing.assert_allclose(hip.translation, [freed_sd[axis] for axis in "xyz"])
     assert all(0.0 < sd < 0.13 for sd in knee.orientation[:2])
+    with_knee = hip.correlation["knee_angle_r"]
+    np.testing.assert_allclose(with_knee, knee.correlation["hip_flexion_r"].T, atol=1e-12)
+    assert 0.1 < np.abs(with_knee[:3]).max() < 1.0 and not with_knee[3:].any()
+    own = hip.correlation["hip_flexion_r"]
+    np.testing.assert_allclose(np.diagonal(own), [1.0] * 3 + [0.0] * 3, atol=1e-12)
     written = describe_model(out / "model_joints.osim")
     knee = next(joint for joint in written.joints if joint.name == "knee_r")
     np.testing.assert_allclose(

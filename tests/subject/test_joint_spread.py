@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from tests.subject.synthetic import COORDINATES, write_subject
@@ -30,6 +31,16 @@ def test_a_subject_knows_its_personalised_joints(tmp_path):
     assert load_subject(folder).joint_spread == {COORDINATES[0]: expected}
 
 
+def test_correlations_are_read_by_coordinate(tmp_path):
+    rows = np.eye(6).tolist()
+    content = _content(["hip_flexion_l", "hip_adduction_l"], {**SPREAD, "correlation": {"hip_l": rows}})
+    (tmp_path / "joints.json").write_text(json.dumps(content))
+    read = read_joint_spread(tmp_path, ["hip_flexion_l", "hip_adduction_l"])
+    for name in read:
+        np.testing.assert_array_equal(read["hip_flexion_l"].correlation[name], np.eye(6))
+    assert len(read) == 2
+
+
 def test_joints_of_another_model_are_refused(tmp_path):
     file = tmp_path / "joints.json"
     file.write_text(json.dumps(_content(["hip_flexion_r"])))
@@ -48,6 +59,16 @@ def test_joints_of_another_model_are_refused(tmp_path):
         (json.dumps(_content(spread={**SPREAD, "translation_m": [0.0, 0.1, 0.1]})), "under spread"),
         (json.dumps(_content(spread={**SPREAD, "translation_m": [0.1, 0.1]})), "under spread"),
         (json.dumps(_content(spread={**SPREAD, "orientation_rad": [True, 0.1, 0.1]})), "under spread"),
+        (json.dumps(_content(spread={**SPREAD, "correlation": [1.0]})), "correlations of six with six"),
+        (json.dumps(_content(spread={**SPREAD, "correlation": {"hip_l": [[1.0]]}})), "of six with six"),
+        (
+            json.dumps(_content(spread={**SPREAD, "correlation": {"hip_l": [["a"] * 6] * 6}})),
+            "of six with six",
+        ),
+        (
+            json.dumps(_content(spread={**SPREAD, "correlation": {"hip_l": [[2.0] * 6] * 6}})),
+            "of six with six",
+        ),
     ],
 )
 def test_wrong_files_are_refused(tmp_path, text, message):

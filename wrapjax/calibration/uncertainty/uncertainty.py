@@ -238,9 +238,11 @@ def uncertainty(
                 Problem(str(leg.subject.folder), message, hint="calibrate without --uncertainty")
             )
         if leg.subject.trials.given_samples is not None:
-            message = "expected gait cycles that all count alike, found trials with 'samples'"
+            message = "expected gait cycles that all count alike, found trials with 'effective_samples'"
             raise InputError(
-                Problem(str(leg.subject.folder), message, hint="leave out --uncertainty or 'samples'")
+                Problem(
+                    str(leg.subject.folder), message, hint="leave out --uncertainty or 'effective_samples'"
+                )
             )
     solution = calibration.result.solution
     problem, speeds = _problem(calibration)
