@@ -10,6 +10,7 @@ from tests.cli.folders import COORDINATES, MUSCLES, content
 from tests.cli.test_check import assert_only_errors
 from tests.report.model_view.conftest import numbers_of
 from wrapjax.io.storage import Storage, write_storage
+from wrapjax.osim.model import describe_model
 from wrapjax.subject.subject import load_subject
 
 
@@ -72,6 +73,41 @@ def test_model_alone_moves_each_joint_through_its_range(run, subject, tmp_path):
     assert (hip["name"], knee["name"]) == tuple(COORDINATES)
     # The range of both is -2 to 2 rad.
     np.testing.assert_allclose([knee["progress"][0], knee["progress"][-1]], np.degrees([-2, 2]), atol=1e-3)
+
+
+@pytest.fixture
+def personalised(subject, tmp_path):
+    """A folder as of personalised joints, of which the knee was 1 cm further up."""
+    folder = tmp_path / "joints"
+    folder.mkdir()
+    shutil.copy(subject / "model.osim", folder / "model_joints.osim")
+    model = describe_model(folder / "model_joints.osim")
+    knee = next(joint for joint in model.joints if "knee_angle_l" in joint.coordinates)
+    x, y, z = knee.in_parent.translation
+    before = {"translation_m": [x, y + 0.01, z], "orientation_rad": [0.0, 0.0, 0.0]}
+    content = {"subject": "P", "joints": {knee.name: {"before": before}}}
+    (folder / "joints.json").write_text(json.dumps(content))
+    return folder
+
+
+def test_personalised_joints_are_shown_with_their_axes_before(run, personalised, tmp_path):
+    (tmp_path / "page").mkdir()
+    numbers = shown(run, tmp_path / "page", personalised)
+    assert "P: joints from markers" in (tmp_path / "page" / "page.html").read_text(encoding="utf-8")
+    axes = {(one["coordinate"], one["before"]): one for one in numbers.content["axes"]}
+    knee = numbers.content["coordinates"].index("knee_angle_l")
+    assert [key for key in axes if key[1]] == [(knee, True)]
+    center = [numbers.array(axes[knee, before]["center"]).reshape(-1, 3) for before in (False, True)]
+    np.testing.assert_allclose(np.linalg.norm(center[1] - center[0], axis=1), 0.01, atol=1e-6)
+
+
+def test_damaged_joints_and_joints_with_a_subject_are_refused(run, subject, personalised, tmp_path):
+    page = tmp_path / "page.html"
+    outcome = run("show", personalised, "--subject", subject, "--out", page)
+    assert_only_errors(outcome, "has markers and no subject")
+    (personalised / "joints.json").write_text('{"subject": "P", "joints": {"knee": {"before": 1}}}')
+    assert_only_errors(run("show", personalised, "--out", page), "is damaged")
+    assert not page.exists()
 
 
 def test_run_is_shown_with_its_forces_and_moments(run, subject, calibrated, tmp_path):

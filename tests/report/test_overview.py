@@ -38,6 +38,11 @@ CONTENT = {
         "subject": "p4",
         "passive_mae_Nm": {"knee_angle_l": {"before": 2.0, "after": 0.125}},
     },
+    "joints/joints.json": {
+        "subject": "p5",
+        "rms_mm": {"before": 70.0, "after": 10.25, "held_out_before": None, "held_out_after": None},
+    },
+    "subject/joints.json": {"subject": "p5"},
     ".hidden/fit.json": {},
 }
 
@@ -50,16 +55,19 @@ def results(subject, result, tmp_path):
         (folder / name).parent.mkdir(parents=True)
         (folder / name).write_text(json.dumps(content))
     (folder / "deep/er/gap & co/report.html").write_text("there")
+    (folder / "joints/model_joints.osim").write_text("<model/>")
     return folder
 
 
 def test_every_result_has_its_main_numbers(results):
     found = {one.folder.relative_to(results).as_posix(): one for one in find_results(results)}
-    assert list(found) == ["broken", "contact", "deep/er/gap & co", "fit", "lengths", "run"]
+    assert list(found) == ["broken", "contact", "deep/er/gap & co", "fit", "joints", "lengths", "run"]
     assert found["fit"].figures == "2 muscles; largest length error 0.25 mm RMSE (b_l)"
     assert found["deep/er/gap & co"].figures == (
         "tie: cop_offset, hip_center_offset; 60 % of the error explainable"
     )
+    # The copy in a prepared subject folder is no result of its own.
+    assert found["joints"].figures == "markers 70.00 to 10.25 mm"
     assert found["broken"].figures == "gap.json cannot be read"
     assert found["contact"].figures == "first peak at the hip (bodyweights): NGA 3.46"
     assert found["lengths"].figures == (

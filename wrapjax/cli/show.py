@@ -21,8 +21,9 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     show.add_argument(
         "place",
         type=Path,
-        metavar="MODEL|SUBJECT|FIT|RUN|GAP",
-        help="OpenSim model (.osim), subject folder, or folder from 'fit', 'calibrate' or 'diagnose'",
+        metavar="MODEL|SUBJECT|JOINTS|FIT|RUN|GAP",
+        help="OpenSim model (.osim), subject folder, or folder from 'joints', 'fit', 'calibrate' or "
+        "'diagnose'",
     )
     show.add_argument("--out", type=Path, required=True, metavar="FILE", help="HTML file to write")
     show.add_argument(

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from wrapjax.calibration.solvers.interface import Status
-from wrapjax.geometry.model_description import ModelDescription
+from wrapjax.geometry.model_description import Joint, ModelDescription
 from wrapjax.io.files import new_folder, write_json, write_text
 from wrapjax.joints.freed_parameters import AXES, FRAME_KINDS, FreedParameter
 from wrapjax.joints.identifiability import Posterior, place_spreads
@@ -193,15 +193,20 @@ class JointPersonalisation:
         names = self._owners(FRAME_KINDS)
         started = [entry for entry in self.before.joints if entry.name in names]
         spreads = place_spreads(started, self.parameters, self.posterior)
-        return {name: self._joint(name, spreads[name]) for name in names}
+        return {entry.name: self._joint(entry, spreads[entry.name]) for entry in started}
 
-    def _joint(self, name: str, spread: dict[str, Any]) -> dict[str, Any]:
+    def _joint(self, start: Joint, spread: dict[str, Any]) -> dict[str, Any]:
         """Describe a joint: poses of its frames, changes, standard deviations, and what markers determine."""
+        name = start.name
         joint = next(entry for entry in self.after.joints if entry.name == name)
         poses = {"parent": joint.in_parent, "child": joint.in_child}
         content: dict[str, Any] = {
             "coordinates": list(joint.coordinates),
             "spread": spread,
+            "before": {
+                "translation_m": list(start.in_parent.translation),
+                "orientation_rad": _xyz_angles(start.in_parent.rotation),
+            },
             "translation_m": {side: list(pose.translation) for side, pose in poses.items()},
             "orientation_rad": {side: _xyz_angles(pose.rotation) for side, pose in poses.items()},
             "change": {},

@@ -50,12 +50,15 @@ class Kind:
         Functions that write subject and method, and the main numbers, from that file's content.
     command
         Subcommand of ``wrapjax`` that writes the folder.
+    beside
+        Another file that such a folder holds.
     """
 
     file: str
     about: Callable[[Content], str]
     figures: Callable[[Content], str]
     command: str
+    beside: str = ""
 
 
 def _error_figures(content: Content) -> str:
@@ -135,6 +138,14 @@ def _cohort_figures(content: Content) -> str:
     return f"{counted(len(states), 'subject')}, {states.count('failed')} failed"
 
 
+def _joint_figures(content: Content) -> str:
+    rms = content["rms_mm"]
+    parts = [f"markers {decimals(rms['before'])} to {decimals(rms['after'])} mm"]
+    if rms.get("held_out_after") is not None:
+        parts.append(f"held out {decimals(rms['held_out_before'])} to {decimals(rms['held_out_after'])} mm")
+    return ", ".join(parts)
+
+
 #: Kinds of results by name. A folder is of the first kind whose file it holds.
 KINDS: dict[str, Kind] = {
     "cohort": Kind(
@@ -152,6 +163,10 @@ KINDS: dict[str, Kind] = {
     "diagnosis": Kind("gap.json", _about_subject, _diagnosis_figures, "diagnose"),
     "evaluation": Kind("evaluation.json", _about_evaluation, _error_figures, "evaluate"),
     "fit": Kind("fit.json", lambda content: "", _fit_figures, "fit"),
+    # A prepared subject folder has a copy of the first file.
+    "joint personalisation": Kind(
+        "joints.json", _about_subject, _joint_figures, "joints", "model_joints.osim"
+    ),
     "contact force": Kind("contact.json", _about_subject, _contact_figures, "contact"),
     "initialisation": Kind("initialisation.json", _about_subject, _initialisation_figures, "initialise"),
     "calibration": Kind(
@@ -165,7 +180,14 @@ KINDS: dict[str, Kind] = {
 
 def kind_of(folder: Path) -> str | None:
     """Determine which of `KINDS` a folder holds; None if it holds no result."""
-    return next((name for name, kind in KINDS.items() if (folder / kind.file).is_file()), None)
+    return next(
+        (
+            name
+            for name, kind in KINDS.items()
+            if (folder / kind.file).is_file() and (folder / kind.beside).exists()
+        ),
+        None,
+    )
 
 
 def find_results(folder: Path) -> list[Result]:

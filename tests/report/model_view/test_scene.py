@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.report.model_view.conftest import COORDINATES, FRAMES, MOVED, MUSCLES
 from wrapjax.geometry.engine import ExactPaths, wrap_at_samples
 from wrapjax.geometry.kinematics import CoordinateValues, body_motion
+from wrapjax.geometry.model_description import Pose
 from wrapjax.geometry.routed_path import route_path
 from wrapjax.geometry.wrapping import NOMINAL
 from wrapjax.report.model_view.quantities import gap_errors
@@ -93,6 +95,27 @@ def test_bodies_turn_about_the_drawn_axes(shown, scene, poses):
         turned = np.stack([rotation[:, 2, 1], rotation[:, 0, 2], rotation[:, 1, 0]], axis=1) / step
         np.testing.assert_allclose(turned, axis.direction, atol=1e-5)
         np.testing.assert_allclose(np.linalg.norm(axis.direction, axis=1), 1.0, atol=1e-12)
+
+
+def test_axes_before_are_those_of_the_model_before(shown, scene):
+    """The axis of a joint that was placed elsewhere is that of a model whose joint is there."""
+    knee = next(joint for joint in shown.model.joints if joint.name == "knee_l")
+    turned = Rotation.from_euler("XYZ", (0.1, -0.2, 0.3)).as_matrix() @ np.asarray(knee.in_parent.rotation)
+    origin = np.asarray(knee.in_parent.translation) + (0.01, 0.02, -0.03)
+    pose = Pose(tuple(map(tuple, turned.tolist())), tuple(origin.tolist()))
+    parts = (shown.muscles, shown.coordinates, shown.motions, shown.placements)
+    joints = tuple(replace(one, in_parent=pose) if one is knee else one for one in shown.model.joints)
+    (expected,) = (
+        axis
+        for axis in build_scene(replace(shown.model, joints=joints), *parts).axes
+        if axis.joint == "knee_l"
+    )
+    found = build_scene(shown.model, *parts, {"knee_l": pose}).axes
+    assert [axis for axis in found if not axis.before] != [] and len(found) == len(scene.axes) + 1
+    (before,) = (axis for axis in found if axis.before)
+    assert (before.joint, before.coordinate) == ("knee_l", "knee_angle_l")
+    np.testing.assert_allclose(before.center, expected.center, atol=1e-12)
+    np.testing.assert_allclose(before.direction, expected.direction, atol=1e-12)
 
 
 def test_sticks_join_the_joints(shown, scene):

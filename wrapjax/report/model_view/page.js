@@ -226,7 +226,8 @@
     const line = new THREE.Mesh(rod, material);
     const tip = new THREE.Mesh(cone, material);
     group.add(line, tip);
-    group.userData = { label: `axis of ${data.coordinates[axis.coordinate]} (${axis.joint})` };
+    const when = axis.before ? " before personalisation" : "";
+    group.userData = { label: `axis of ${data.coordinates[axis.coordinate]} (${axis.joint})${when}` };
     moved.add(group);
     return { axis, group, line, tip, material };
   });
@@ -382,7 +383,7 @@
     const byJoint = quantity && !quantity.axes.includes("muscle");
     for (const part of axes) {
       part.group.visible = state.axes;
-      const chosen = part.axis.coordinate === state.coordinate;
+      const chosen = part.axis.coordinate === state.coordinate && !part.axis.before;
       start.fromArray(part.axis.center, 3 * frame);
       along.fromArray(part.axis.direction, 3 * frame);
       const reach = AXIS * (chosen ? 1.25 : 1);
@@ -392,7 +393,9 @@
       part.tip.position.copy(tip).addScaledVector(along, 0.008);
       part.tip.quaternion.setFromUnitVectors(UP, along);
       part.tip.scale.set(chosen ? 0.007 : 0.0045, 0.018, chosen ? 0.007 : 0.0045);
-      if (byJoint) {
+      if (part.axis.before) {
+        part.material.color.set(0xb9b9b9);
+      } else if (byJoint) {
         const value = quantity.series[0].values[part.axis.coordinate * F + frame];
         part.material.color.setRGB(...toColor(quantity, Number.isNaN(value) ? undefined : value), "srgb");
       } else {

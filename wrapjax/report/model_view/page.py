@@ -68,7 +68,14 @@ def render_page(shown: Shown, bone_folders: Sequence[Path] = ()) -> str:
     """
     from wrapjax.osim.attached_meshes import attached_meshes, geometry_folders
 
-    scene = build_scene(shown.model, shown.muscles, shown.coordinates, shown.motions, shown.placements)
+    scene = build_scene(
+        shown.model,
+        shown.muscles,
+        shown.coordinates,
+        shown.motions,
+        shown.placements,
+        shown.joints_before,
+    )
     quantities = (*path_quantities(scene, shown.polynomials), *shown.quantities)
     meshes = attached_meshes(shown.model_file)
     bones, missing = find_bones(meshes, (*bone_folders, *geometry_folders(shown.model_file)))

@@ -79,6 +79,7 @@ def describe_scene(
             {
                 "coordinate": scene.coordinates.index(axis.coordinate),
                 "joint": axis.joint,
+                "before": axis.before,
                 "center": block.add(axis.center - root, "float32"),
                 "direction": block.add(axis.direction, "float32"),
             }

@@ -9,18 +9,59 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from wrapjax.errors import InputError, Problem
 from wrapjax.evaluation.stored_run import Run, load_run, read_curves
+from wrapjax.geometry.model_description import Pose
 from wrapjax.io.files import content_hash
 from wrapjax.io.json_and_arrays import load_json
 from wrapjax.io.storage import read_storage
 from wrapjax.report.formatting import counted
 from wrapjax.report.model_view.quantities import COORDINATE, MUSCLE, Quantity, Series, aligned, gap_errors
 from wrapjax.report.model_view.scene import Motion, Placement
-from wrapjax.report.model_view.shown import Shown, recorded
+from wrapjax.report.model_view.shown import Shown, recorded, swept_model
 from wrapjax.report.overview import KINDS, kind_of
+from wrapjax.subject.joint_spread import JOINTS_FILE
 from wrapjax.subject.subject import Subject, load_subject
+
+
+def shown_joints(folder: Path) -> Shown:
+    """Show a model with personalised joints: its axes, and in gray those before.
+
+    Parameters
+    ----------
+    folder
+        Folder of the personalisation.
+
+    Raises
+    ------
+    InputError
+        If a file of the folder is missing or damaged.
+    """
+    shown = swept_model(folder / "model_joints.osim")
+    file = folder / JOINTS_FILE
+    try:
+        content = load_json(file)
+        # Folders of earlier versions do not have the places before.
+        before = {
+            name: _pose(joint["before"]) for name, joint in content["joints"].items() if "before" in joint
+        }
+        title = f"{content['subject']}: joints from markers"
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        message = f"is damaged ({type(error).__name__}: {error})"
+        raise InputError(Problem(str(file), message, hint="run 'wrapjax joints' again")) from error
+    note = (
+        "Light gray: axes where the starting model has them in the parent body. The motion is not that of "
+        "the markers: each joint moves through its range."
+    )
+    return replace(shown, title=title, joints_before=before, notes=(*shown.notes, note))
+
+
+def _pose(stored: dict[str, list[float]]) -> Pose:
+    rows = Rotation.from_euler("XYZ", stored["orientation_rad"]).as_matrix().tolist()
+    first, second, third, origin = ((x, y, z) for x, y, z in [*rows, stored["translation_m"]])
+    return Pose((first, second, third), origin)
 
 
 def shown_calibration(folder: Path, subject: Subject | None) -> Shown:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -15,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 from wrapjax.errors import InputError
 from wrapjax.geometry.engine import ExactPaths, wrap_at_samples
 from wrapjax.geometry.kinematics import BodyMotion, CoordinateValues, body_motion
-from wrapjax.geometry.model_description import Joint, ModelDescription
+from wrapjax.geometry.model_description import Joint, ModelDescription, Pose
 from wrapjax.geometry.routed_path import RoutedPath, route_paths
 from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, WrappedPath
 from wrapjax.report.model_view.wrap_shapes import WrapShape, wrap_shape
@@ -125,12 +126,15 @@ class JointAxis:
         Origin of the joint's frame in the child body, m.
     direction
         Unit vector; the angular velocity for a positive speed of the coordinate.
+    before
+        Whether it is that before joints were personalised.
     """
 
     coordinate: str
     joint: str
     center: Float[np.ndarray, "frame 3"]
     direction: Float[np.ndarray, "frame 3"]
+    before: bool = False
 
 
 @dataclass(frozen=True)
@@ -184,6 +188,7 @@ def build_scene(
     coordinates: Sequence[str],
     motions: Sequence[Motion],
     placements: Sequence[Placement] = (Placement("model"),),
+    joints_before: Mapping[str, Pose] = MappingProxyType({}),
 ) -> Scene:
     """Compute the positions of all parts of a model.
 
@@ -199,6 +204,9 @@ def build_scene(
         Motions.
     placements
         States of the wraps.
+    joints_before
+        Pose of joints in their parent bodies before they were personalised, by name: their axes are shown,
+        too.
 
     Raises
     ------
@@ -219,7 +227,7 @@ def build_scene(
         motions=tuple(motions),
         bodies=bodies,
         root=_root(model, muscles),
-        axes=tuple(_joint_axes(model, muscles, coordinates, bodies)),
+        axes=tuple(_joint_axes(model, muscles, coordinates, bodies, joints_before)),
         placements=tuple(placements),
         wraps={name: shape for name, shape in shapes.items() if shape},
         paths=dict(_muscle_paths(engine, poses, placements)),
@@ -307,8 +315,9 @@ def _joint_axes(
     muscles: Sequence[str],
     coordinates: Sequence[str],
     bodies: Mapping[str, BodyMotion],
+    before: Mapping[str, Pose],
 ) -> Iterable[JointAxis]:
-    """Compute the axes of the coordinates that the muscles span."""
+    """Compute the axes of the coordinates that the muscles span, as they are and as they were."""
     spanned = {name for muscle in muscles for name in model.spanned_by(muscle)}
     for joint in model.joints:
         child = bodies[joint.child_body]
@@ -324,7 +333,29 @@ def _joint_axes(
             size = np.linalg.norm(rate, axis=1, keepdims=True)
             if size.max() < 1e-9:
                 continue  # a sliding coordinate
-            yield JointAxis(name, joint.name, center, rate / np.maximum(size, 1e-12))
+            axis = JointAxis(name, joint.name, center, rate / np.maximum(size, 1e-12))
+            yield axis
+            if joint.name in before:
+                parent = None if joint.parent_body == "ground" else bodies[joint.parent_body]
+                yield _axis_before(axis, joint.in_parent, before[joint.name], parent)
+
+
+def _axis_before(axis: JointAxis, after: Pose, before: Pose, parent: BodyMotion | None) -> JointAxis:
+    """Carry an axis with its joint's frame to where that was in the parent body; None: in ground."""
+    count = len(axis.center)
+    origin = np.zeros((count, 3)) if parent is None else parent.origin
+    rotation = np.broadcast_to(np.eye(3), (count, 3, 3)) if parent is None else parent.rotation
+    # From the parent body's axes through the joint's frame as it is to the axes where it was.
+    turn = np.asarray(before.rotation) @ np.asarray(after.rotation).T
+    local = np.einsum("fji,fj->fi", rotation, axis.center - origin) - np.asarray(after.translation)
+    center = np.asarray(before.translation) + local @ turn.T
+    direction = np.einsum("fji,fj->fi", rotation, axis.direction) @ turn.T
+    return replace(
+        axis,
+        center=origin + np.einsum("fij,fj->fi", rotation, center),
+        direction=np.einsum("fij,fj->fi", rotation, direction),
+        before=True,
+    )
 
 
 def carrying_bodies(model: ModelDescription, muscles: Sequence[str]) -> set[str]:

@@ -10,13 +10,21 @@ from wrapjax.errors import InputError, Problem
 from wrapjax.io.files import write_text
 from wrapjax.path_sources.polynomial_fit import load_fit
 from wrapjax.report.model_view.page import render_page
-from wrapjax.report.model_view.results import shown_calibration, shown_diagnosis, subject_of
+from wrapjax.report.model_view.results import (
+    shown_calibration,
+    shown_diagnosis,
+    shown_joints,
+    subject_of,
+)
 from wrapjax.report.model_view.shown import Shown, recorded, shown_fit, swept_model
 from wrapjax.report.overview import kind_of
 from wrapjax.subject.settings import SETTINGS_FILE
 from wrapjax.subject.subject import Subject, load_subject
 
-_HINT = "name a model (.osim), a subject folder, or a folder of 'wrapjax fit', 'calibrate' or 'diagnose'"
+_HINT = (
+    "name a model (.osim), a subject folder, or a folder of 'wrapjax joints', 'fit', 'calibrate' or "
+    "'diagnose'"
+)
 
 
 def show(
@@ -31,13 +39,15 @@ def show(
     """Write a page that shows a model in motion, in three dimensions, with curves beside it.
 
     Shown are bones, joint axes, muscle paths with their contacts on wrapping surfaces, and these surfaces;
-    of a calibration with changed wraps, before and after it. Muscles are colored by tendon force, moment arm
+    of a calibration with changed wraps, before and after it; of personalised joints, their axes before and
+    after. Muscles are colored by tendon force, moment arm
     or the error of a diagnosis.
 
     Parameters
     ----------
     place
-        Model (``.osim``), subject folder, or folder of a fit, a calibration or a diagnosis. A model alone
+        Model (``.osim``), subject folder, or folder of joints, a fit, a calibration or a diagnosis. A model
+        alone
         moves each joint through its range.
     out
         HTML file to write.
@@ -84,7 +94,7 @@ def read_shown(place: Path, subject: Subject | Path | None = None) -> Shown:
     Parameters
     ----------
     place
-        Model file, subject folder, or folder of a fit, a calibration or a diagnosis.
+        Model file, subject folder, or folder of joints, a fit, a calibration or a diagnosis.
     subject
         Subject with the motion, or its folder. By default that of ``place``; a model file without a subject
         moves each joint through its range.
@@ -104,6 +114,7 @@ def read_shown(place: Path, subject: Subject | Path | None = None) -> Shown:
         found = "is no OpenSim model (.osim)" if place.exists() else "does not exist"
         raise InputError(Problem(str(place), found, hint=_HINT))
     readers: dict[str | None, Callable[[Path, Subject | None], Shown]] = {
+        "joint personalisation": _shown_joints,
         "fit": _shown_fit,
         "calibration": shown_calibration,
         "diagnosis": shown_diagnosis,
@@ -123,6 +134,14 @@ def _recorded_model(file: Path | None, subject: Subject) -> Shown:
     shown = recorded(subject, subject.model_file if file is None else file)
     title = f"{subject.name}: recorded motion"
     return shown if own or file is None else replace(shown, title=f"{title} with {file.name}")
+
+
+def _shown_joints(folder: Path, subject: Subject | None) -> Shown:
+    if subject is not None:
+        message = "has markers and no subject, whose motion could be shown"
+        hint = "leave out --subject, or show model_joints.osim with it"
+        raise InputError(Problem(str(folder), message, hint=hint))
+    return shown_joints(folder)
 
 
 def _shown_fit(folder: Path, subject: Subject | None) -> Shown:

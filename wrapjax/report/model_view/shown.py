@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from wrapjax.errors import InputError, Problem, nearest_name
-from wrapjax.geometry.model_description import ModelDescription
+from wrapjax.geometry.model_description import ModelDescription, Pose
 from wrapjax.geometry.surrogate import PathSurrogate
 from wrapjax.osim.model import describe_model
 from wrapjax.report.formatting import counted
@@ -50,6 +50,8 @@ class Shown:
         Key of the quantity that colors the muscles at first; empty for none.
     notes
         Sentences below the page's title.
+    joints_before
+        Pose of personalised joints in their parent bodies before, by name.
     """
 
     title: str
@@ -65,6 +67,7 @@ class Shown:
     quantities: tuple[Quantity, ...] = ()
     coloring: str = ""
     notes: tuple[str, ...] = ()
+    joints_before: dict[str, Pose] = field(default_factory=dict)
 
 
 def swept_model(file: Path) -> Shown:
