@@ -394,7 +394,7 @@
       part.tip.quaternion.setFromUnitVectors(UP, along);
       part.tip.scale.set(chosen ? 0.007 : 0.0045, 0.018, chosen ? 0.007 : 0.0045);
       if (part.axis.before) {
-        part.material.color.set(0xb9b9b9);
+        part.material.color.set(0xe69f00);
       } else if (byJoint) {
         const value = quantity.series[0].values[part.axis.coordinate * F + frame];
         part.material.color.setRGB(...toColor(quantity, Number.isNaN(value) ? undefined : value), "srgb");

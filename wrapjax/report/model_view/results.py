@@ -52,7 +52,7 @@ def shown_joints(folder: Path) -> Shown:
         message = f"is damaged ({type(error).__name__}: {error})"
         raise InputError(Problem(str(file), message, hint="run 'wrapjax joints' again")) from error
     note = (
-        "Light gray: axes where the starting model has them in the parent body. The motion is not that of "
+        "Orange: axes where the starting model has them in the parent body. The motion is not that of "
         "the markers: each joint moves through its range."
     )
     return replace(shown, title=title, joints_before=before, notes=(*shown.notes, note))
