@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.joints.person import JOINTS, make_person, settings_text
+from tests.subject.synthetic import MODEL
 from wrapjax.cli.command_line import main
 from wrapjax.errors import InputError
 from wrapjax.joints.identifiability import place_spreads
@@ -146,7 +147,16 @@ def test_command_writes_the_contract_and_a_model_that_opens(person, tmp_path, ca
     np.testing.assert_allclose(
         knee.in_parent.translation, content["joints"]["knee_r"]["translation_m"]["parent"], atol=1e-12
     )
-    assert "<html" in (out / "report.html").read_text()[:200]
+    # The person has no muscles, of whose paths the page of the model in motion consists.
+    page = (out / "report.html").read_text()
+    assert "<html" in page[:200] and "motion.html" not in page and not (out / "motion.html").exists()
+
+
+def test_a_model_with_muscles_is_also_written_in_motion(recovered, tmp_path):
+    with_muscles = replace(recovered, model=MODEL.encode())
+    with_muscles.save(tmp_path / "out", motion=True)
+    assert "motion.html" in (tmp_path / "out" / "report.html").read_text()
+    assert "joints from markers" in (tmp_path / "out" / "motion.html").read_text(encoding="utf-8")
 
 
 def _write(folder, person, markers=None, text=None):

@@ -74,7 +74,8 @@ def run(options: argparse.Namespace) -> int:
     if options.symmetric:
         settings = replace(settings, symmetric=True)
     done = personalize_joints(settings, log=lambda line: print_progress(line, quiet=options.quiet))
-    done.save(options.out, force=options.force)
+    print_progress("writing the report, and a page with the model in motion", quiet=options.quiet)
+    done.save(options.out, force=options.force, motion=True)
     content = read_json(options.out / "joints.json")
     if options.json:
         print_json(content)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from wrapjax.calibration.solvers.interface import Status
+from wrapjax.errors import InputError
 from wrapjax.geometry.model_description import Joint, ModelDescription
 from wrapjax.io.files import new_folder, write_json, write_text
 from wrapjax.joints.freed_parameters import AXES, FRAME_KINDS, FreedParameter
@@ -152,7 +154,7 @@ class JointPersonalisation:
 
         return change_figure(self)
 
-    def save(self, folder: Path | str, *, force: bool = False) -> None:
+    def save(self, folder: Path | str, *, force: bool = False, motion: bool = False) -> None:
         """Write ``joints.json``, ``model_joints.osim`` and ``report.html`` atomically.
 
         Parameters
@@ -161,6 +163,9 @@ class JointPersonalisation:
             Folder to create.
         force
             Replace an existing folder.
+        motion
+            If muscles span its joints, also write ``motion.html``, which shows it in three dimensions with
+            its axes before and after; takes seconds.
 
         Raises
         ------
@@ -168,11 +173,21 @@ class JointPersonalisation:
             If the folder exists and ``force`` is false.
         """
         from wrapjax.report.joints_page import render_joints
+        from wrapjax.report.model_view.page import write_beside_report
+        from wrapjax.report.model_view.results import personalised_joints
 
         with new_folder(Path(folder), force=force) as temporary:
             (temporary / "model_joints.osim").write_bytes(self.model)
             write_json(temporary / "joints.json", self.summary())
-            write_text(temporary / "report.html", render_joints(self))
+            link = ""
+            if motion:
+                names = self._owners(FRAME_KINDS)
+                before = {joint.name: joint.in_parent for joint in self.before.joints if joint.name in names}
+                # A model may have no muscles, of whose paths the page consists.
+                with suppress(InputError):
+                    shown = personalised_joints(temporary / "model_joints.osim", self.settings.name, before)
+                    link = write_beside_report(temporary, shown)
+            write_text(temporary / "report.html", render_joints(self, link))
 
     def entries(self, kind: str, owner: str) -> list[tuple[FreedParameter, float, float, bool]]:
         """Parameters of one part: parameter, value, posterior standard deviation, and whether determined."""

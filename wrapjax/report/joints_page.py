@@ -37,8 +37,16 @@ if TYPE_CHECKING:
 AXIS_LENGTH = 0.06
 
 
-def render_joints(result: JointPersonalisation) -> str:
-    """Write the report of joint personalisation as a self-contained HTML page."""
+def render_joints(result: JointPersonalisation, link: str = "") -> str:
+    """Write the report of joint personalisation as a self-contained HTML page.
+
+    Parameters
+    ----------
+    result
+        Result.
+    link
+        Markup of a link to the page of the model in motion; empty if there is none.
+    """
     title = f"{result.settings.name}: joints from markers"
     frames = sum(trial.used.size for trial in result.trials)
     under = f"{counted(len(result.trials), 'trial')}, {frames} frames, {len(result.parameters)} freed values."
@@ -47,6 +55,7 @@ def render_joints(result: JointPersonalisation) -> str:
         [
             markup.header(title, under),
             _verdict(result),
+            link,
             _errors_section(result),
             _skeleton_section(result),
             _changes_section(result),

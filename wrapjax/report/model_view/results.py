@@ -27,19 +27,13 @@ from wrapjax.subject.subject import Subject, load_subject
 
 
 def shown_joints(folder: Path) -> Shown:
-    """Show a model with personalised joints: its axes, and in gray those before.
-
-    Parameters
-    ----------
-    folder
-        Folder of the personalisation.
+    """Show a model with personalised joints, read from their folder; see `personalised_joints`.
 
     Raises
     ------
     InputError
         If a file of the folder is missing or damaged.
     """
-    shown = swept_model(folder / "model_joints.osim")
     file = folder / JOINTS_FILE
     try:
         content = load_json(file)
@@ -47,14 +41,31 @@ def shown_joints(folder: Path) -> Shown:
         before = {
             name: _pose(joint["before"]) for name, joint in content["joints"].items() if "before" in joint
         }
-        title = f"{content['subject']}: joints from markers"
+        name = content["subject"]
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         message = f"is damaged ({type(error).__name__}: {error})"
         raise InputError(Problem(str(file), message, hint="run 'wrapjax joints' again")) from error
+    return personalised_joints(folder / "model_joints.osim", name, before)
+
+
+def personalised_joints(model_file: Path, name: str, before: dict[str, Pose]) -> Shown:
+    """Show a model with personalised joints: its axes, and in orange those before.
+
+    Parameters
+    ----------
+    model_file
+        Personalised model.
+    name
+        Name of the subject.
+    before
+        Poses of the personalised joints in their parent bodies before, by name.
+    """
+    shown = swept_model(model_file)
     note = (
-        "Orange: axes where the starting model has them in the parent body. The motion is not that of "
-        "the markers: each joint moves through its range."
+        "Orange: axes where the starting model has them in the parent body. The motion is not that of the "
+        "markers: each joint moves through its range."
     )
+    title = f"{name}: joints from markers"
     return replace(shown, title=title, joints_before=before, notes=(*shown.notes, note))
 
 
