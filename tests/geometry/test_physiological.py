@@ -14,14 +14,14 @@ WAVE = np.sin(2.0 * np.pi * np.arange(POSES) / 40.0)
 
 
 def paths(samples, change=None):
-    """Copies of a nominal path that touches its cylinder, with a point inside it in pose 3.
+    """Copies of a nominal path that touches the first of two cylinders, with a point inside it in pose 3.
 
     The second copy is changed by a function.
     """
     parts = {
         "length": np.tile(0.3 + 0.02 * WAVE, (samples, 1)),
         "moment_arm": np.tile((0.04 + 0.004 * WAVE)[:, None], (samples, 1, 2)),
-        "on_surface": np.full((samples, POSES, 1), 0.02),
+        "on_surface": np.tile([0.02, 0.0], (samples, POSES, 1)),
         "inside": np.full((samples, POSES), 0.01),
         "off_end": np.full((samples, POSES), 0.02),
         "long_wrap": np.full((samples, POSES), 1.0),
@@ -73,7 +73,7 @@ def wraps_the_long_way(long_wrap, **_):
 
 
 def never_touches(on_surface, **_):
-    on_surface[:] = 0.0
+    on_surface[:, 0] = 0.0
 
 
 FAULTS = {
@@ -104,9 +104,16 @@ def test_unordered_poses_have_no_steps():
     assert measure_paths(found, paths(1), slice(0, 0)).physiological().all()
 
 
-def changed_slightly(length, moment_arm, **_):
+def changed_slightly(length, moment_arm, on_surface, **_):
     length *= 1.001
     moment_arm *= 1.001
+    on_surface[4, 1] = 0.001
+
+
+def test_new_contacts_are_counted_by_pose():
+    """The second wrap, which the nominal path never touches, is touched in one of 60 poses."""
+    measures = measure_paths(paths(3, changed_slightly), paths(1), CYCLE)
+    np.testing.assert_allclose(measures.new_contact, [0.0, 1.0 / POSES, 0.0])
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(PhysiologicalThresholds)])

@@ -63,6 +63,8 @@ THRESHOLDS = {
     "length_step": "change of the length difference between frames of a recorded cycle, m (default: 0.001)",
     "moment_arm_step": "change of the moment-arm difference between frames of a recorded cycle, m (default: "
     "0.003)",
+    "new_contact": "share of the poses in which a path touches a surface that the nominal path never "
+    "touches, above 0 (default: 1)",
 }
 
 

@@ -38,6 +38,9 @@ class PhysiologicalThresholds:
         Change of the difference from the nominal length between consecutive frames of a recorded cycle, m.
     moment_arm_step
         Change of the difference from any nominal moment arm between consecutive frames, m.
+    new_contact
+        Share of the poses in which a path touches a wrap that the nominal path touches in no pose; by default
+        paths may begin to touch any wrap of theirs.
     """
 
     length_deviation: float = 0.025
@@ -45,6 +48,7 @@ class PhysiologicalThresholds:
     variability: float = 3.0
     length_step: float = 0.001
     moment_arm_step: float = 0.003
+    new_contact: float = 1.0
 
 
 DEFAULT_THRESHOLDS = PhysiologicalThresholds()
@@ -70,6 +74,7 @@ class PathMeasures:
     variability: Float[np.ndarray, " sample"]
     length_step: Float[np.ndarray, " sample"]
     moment_arm_step: Float[np.ndarray, " sample"]
+    new_contact: Float[np.ndarray, " sample"]
     jumps: Bool[np.ndarray, " sample"]
     never_touches: Bool[np.ndarray, " sample"]
 
@@ -116,6 +121,9 @@ def measure_paths(found: WrappedPath, nominal: WrappedPath, cycle: slice) -> Pat
         ),
         length_step=np.abs(_steps(change[:, cycle])).max(axis=1, initial=0.0),
         moment_arm_step=np.abs(_steps(arm_change[:, cycle])).max(axis=(1, 2), initial=0.0),
+        new_contact=np.mean(touching & ~np.any(nominal_touching, axis=1)[:, None], axis=1).max(
+            axis=1, initial=0.0
+        ),
         jumps=jumps,
         never_touches=np.any(np.any(nominal_touching, axis=1) & ~np.any(touching, axis=1), axis=1),
     )

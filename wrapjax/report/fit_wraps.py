@@ -48,6 +48,7 @@ _COLORS = {
     "length_deviation": "#E69F00",
     "moment_arm_deviation": "#E69F00",
     "variability": "#E69F00",
+    "new_contact": PURPLE,
 }
 
 
@@ -167,6 +168,7 @@ _THRESHOLDS = {
         1e3,
         "the difference of a moment arm from nominal changes by more between frames",
     ),
+    "new_contact": ("% of poses", 100.0, "it touches in more of them a wrap that nominal touches in none"),
 }
 
 
@@ -328,6 +330,8 @@ def sampled_paths_section(content: dict[str, Any], paths: Iterable[SampledPath])
     rows += [
         (readable(name), f"{factor * content['thresholds'][name]:g} {unit}", words)
         for name, (unit, factor, words) in _THRESHOLDS.items()
+        # Earlier fits lack some.
+        if name in content["thresholds"]
     ]
     return markup.section(
         "Accepted and rejected paths",
