@@ -1,11 +1,14 @@
 """Time of length and moment arms of a path round one surface of each kind, beside OpenSim.
 
-``python -m benchmarks.wrap_surfaces`` computes 1,000 random poses of one path round a random unrestricted
-surface of each kind (``--poses N``, ``--kinds KIND ...``): the length and moment arms about six coordinates
-by the exact engine in both modes, and by OpenSim's ``GeometryPath`` once the length alone and once the length
-and moment arms. OpenSim's moment arms are minus lengthening speeds, its fastest way. The engine is timed once
-compiled, from positions of points and bodies on; OpenSim's length from a realised position on, and its moment
-arms with the velocities of bodies that they need. Both use one core; each time is the best of three.
+``python -m benchmarks.wrap_surfaces`` computes 1,000 poses of one path whose end moves along a circle, round
+a random unrestricted surface of each kind (``--poses N``, ``--kinds KIND ...``): the length and moment arms
+about six coordinates by the exact engine in both modes, and by OpenSim's ``GeometryPath`` once the length
+alone and once the length and moment arms. OpenSim's moment arms are minus lengthening speeds, its fastest
+way. The engine is timed once compiled, from positions of points and bodies on; OpenSim's length from a
+realised position on, and its moment arms with the velocities of bodies that they need. OpenSim's
+``Scholz2015GeometryPath`` computes a path with positions: its time is that of both less that of positions
+alone; it follows its path from pose to pose, and needs neighboring poses. All use one core; each time is the
+best of three.
 """
 
 from __future__ import annotations
@@ -25,6 +28,8 @@ from wrapjax.jax_setup import set_up_jax
 
 KINDS = ("cylinder", "sphere", "ellipsoid", "torus")
 _REPEATS = 3
+# Radius of the circle, as a share of the end's distance from the surface's center.
+_REACH = 0.1
 
 
 def best_seconds(function: Callable[[], object]) -> float:
@@ -42,12 +47,14 @@ def compare(kind: str, count: int, seed: int) -> dict[str, float]:
     import equinox as eqx
     import jax
 
-    from validation.wrapping.draws import draws
-    from validation.wrapping.single_path import COORDINATES, MUSCLE, write_model
+    from validation.wrapping.draws import draw_sweep, draws
+    from validation.wrapping.scholz_paths import contact_hint
+    from validation.wrapping.single_path import COORDINATES, MUSCLE, by_scholz, write_model
     from wrapjax.osim.path_engine import PathEngine
     from wrapjax.path_sources.muscle_paths import muscle_paths
 
-    ((surface, poses),) = draws(kind, 1, count, seed, "all")
+    ((surface, ends),) = draws(kind, 1, 1, seed, "all")
+    poses, _ = draw_sweep(ends[0], count, _REACH, np.random.default_rng(seed + 1))
     seconds = {}
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "path.osim"
@@ -55,6 +62,8 @@ def compare(kind: str, count: int, seed: int) -> dict[str, float]:
         reference = PathEngine(file, COORDINATES, {MUSCLE: COORDINATES})
         seconds["length and arms"] = best_seconds(lambda: reference.analyse(poses)) / count
         seconds["length"] = min(_length_seconds(file, poses) for _ in range(_REPEATS))
+        hint = contact_hint(surface, file, poses[0])
+        seconds["scholz"] = min(by_scholz(surface, hint, poses)[1] for _ in range(_REPEATS))
         for mode in ("geodesic", "parity"):
             posed = muscle_paths(file, mode=mode, coordinates=COORDINATES).posed(poses)
             evaluate = eqx.filter_jit(lambda own: own())
@@ -93,13 +102,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     pin_threads()
     set_up_jax()
-    titles = ("OpenSim: length, us", "length and arms, us", "geodesic, us", "parity, us")
-    ratios = ("geodesic: times as fast as OpenSim's length", "parity: likewise")
-    print(f"| surface | {' | '.join((*titles, *ratios))} |\n|{'---|' * 7}")
+    titles = (
+        *("OpenSim: length, us", "length and arms, us", "Scholz: length, us", "geodesic, us", "parity, us"),
+        *("geodesic: times as fast as OpenSim's length", "as Scholz's", "parity: as OpenSim's length"),
+    )
+    print(f"| surface | {' | '.join(titles)} |\n|{'---|' * (len(titles) + 1)}")
     for kind in options.kinds:
         one = compare(kind, options.poses, options.seed)
-        times = [f"{1e6 * one[name]:.2f}" for name in ("length", "length and arms", "geodesic", "parity")]
-        faster = [f"{one['length'] / one[mode]:.1f}" for mode in ("geodesic", "parity")]
+        names = ("length", "length and arms", "scholz", "geodesic", "parity")
+        times = [f"{1e6 * one[name]:.2f}" for name in names]
+        pairs = (("length", "geodesic"), ("scholz", "geodesic"), ("length", "parity"))
+        faster = [f"{one[slow] / one[fast]:.1f}" for slow, fast in pairs]
         print(f"| {kind} | {' | '.join((*times, *faster))} |", flush=True)
     return 0
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.machine import pin_threads
-from validation.wrapping.draws import draws
+from validation.wrapping.draws import draw_sweep, draws
 from validation.wrapping.single_path import COORDINATES, write_model
 from wrapjax.jax_setup import set_up_jax
 
@@ -39,13 +39,9 @@ def sweep(kind: str, surfaces: int, seed: int) -> tuple[np.ndarray, int]:
         for surface, ends in draws(kind, surfaces, 1, seed, "all"):
             write_model([surface], file)
             paths = muscle_paths(file, coordinates=COORDINATES)
-            around, across = np.linalg.qr(generator.normal(size=(3, 2)))[0].T
-            angle = np.linspace(0.0, 2.0 * np.pi, POSES, endpoint=False)[:, None]
-            center, reach = ends[0, 3:], 0.6 * np.linalg.norm(ends[0, 3:])
-            poses = np.repeat(ends, POSES, axis=0)
-            poses[:, 3:] = center + reach * ((np.cos(angle) - 1.0) * around + np.sin(angle) * across)
+            poses, direction = draw_sweep(ends[0], POSES, 0.6, generator)
             moved = poses.copy()
-            moved[:, 3:] += STEP * (np.cos(angle) * across - np.sin(angle) * around)
+            moved[:, 3:] += STEP * direction
             one, other = paths(poses), paths(moved)
             kept = (one.regular & other.regular)[:, 0]
             changes.append(np.abs(one.length - other.length)[kept, 0])

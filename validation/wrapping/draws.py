@@ -64,6 +64,35 @@ def draw_poses(
     return np.concatenate([rotated[0], rotated[1]], axis=1)
 
 
+def draw_sweep(
+    ends: Float[np.ndarray, " coordinate"], count: int, reach: float, generator: np.random.Generator
+) -> tuple[Float[np.ndarray, "pose coordinate"], Float[np.ndarray, "pose 3"]]:
+    """Draw poses that move the path's end once round a circle.
+
+    Parameters
+    ----------
+    ends
+        First pose: positions of the path's start and end, m.
+    count
+        Number of poses.
+    reach
+        Radius of the circle, as a share of the end's distance from the origin.
+    generator
+        Random number generator.
+
+    Returns
+    -------
+    poses, direction
+        Poses, and the direction in which the end moves in each.
+    """
+    around, across = np.linalg.qr(generator.normal(size=(3, 2)))[0].T
+    angle = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)[:, None]
+    radius = reach * np.linalg.norm(ends[3:])
+    poses = np.repeat(ends[None], count, axis=0)
+    poses[:, 3:] += radius * ((np.cos(angle) - 1.0) * around + np.sin(angle) * across)
+    return poses, np.cos(angle) * across - np.sin(angle) * around
+
+
 def draws(
     kind: str, surfaces: int, poses: int, seed: int, quadrant: str | None = None
 ) -> Iterator[tuple[SurfaceDraw, Float[np.ndarray, "pose coordinate"]]]:

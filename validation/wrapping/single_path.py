@@ -5,7 +5,8 @@ Both ends are carried by bodies that translate along x, y and z: a pose is the p
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -105,6 +106,103 @@ def wrap_object(opensim: Any, surface: SurfaceDraw) -> Any:
         wrap.set_outer_radius(sizes[0])
         wrap.set_inner_radius(sizes[1])
     return wrap
+
+
+def scholz_model(
+    surface: SurfaceDraw, hint: Float[np.ndarray, " 3"], pose: Float[np.ndarray, " coordinate"]
+) -> tuple[Any, Any]:
+    """Make a model of a path round a surface as OpenSim's ``Scholz2015GeometryPath``, and its path.
+
+    Parameters
+    ----------
+    surface
+        Surface.
+    hint
+        Point of the surface, in its frame, from which the first contact is searched, m.
+    pose
+        Default pose: OpenSim's first search fails in poses with ends inside the surface.
+    """
+    import opensim
+
+    model, ends = _moving_ends(opensim, pose)
+    none, angles = opensim.Vec3(0), opensim.Vec3(*surface.angles)
+    sizes, ground = surface.sizes, model.getGround()
+    if surface.kind == "cylinder":
+        contact = opensim.ContactCylinder(sizes[0], none, angles, ground)
+    elif surface.kind == "sphere":
+        contact = opensim.ContactSphere(sizes[0], none, ground)
+    elif surface.kind == "ellipsoid":
+        contact = opensim.ContactEllipsoid(opensim.Vec3(*sizes), none, angles, ground)
+    else:
+        contact = opensim.ContactTorus(*sizes, none, angles, ground)
+    contact.setName("surface")
+    model.addContactGeometry(contact)
+    path = opensim.Scholz2015GeometryPath()
+    path.setName(MUSCLE)
+    path.appendPathPoint(ends[0], none)
+    path.appendObstacle(contact, opensim.Vec3(*map(float, hint)))
+    path.appendPathPoint(ends[1], none)
+    model.addComponent(path)
+    model.finalizeConnections()
+    return model, path
+
+
+def _moving_ends(opensim: Any, pose: Float[np.ndarray, " coordinate"]) -> tuple[Any, list[Any]]:
+    """Make a model of the bodies of both ends, in a default pose."""
+    opensim.Logger.setLevelString("Off")
+    model = opensim.Model()
+    model.setName("single_path")
+    ends = [_translating_body(opensim, model, name) for name in ("start", "end")]
+    defaults = dict(zip(COORDINATES, pose, strict=True))
+    for number in range(model.getJointSet().getSize()):
+        coordinate = model.updJointSet().get(number).upd_coordinates(0)
+        coordinate.setDefaultValue(float(defaults[coordinate.getName()]))
+    return model, ends
+
+
+def by_scholz(
+    surface: SurfaceDraw, hint: Float[np.ndarray, " 3"], poses: Float[np.ndarray, "pose coordinate"]
+) -> tuple[Float[np.ndarray, " pose"], float]:
+    """Compute lengths (m) in poses one after the other by ``Scholz2015GeometryPath``.
+
+    Each pose starts from the path of the last one. NaN where OpenSim fails, and from there on.
+
+    Returns
+    -------
+    lengths, seconds
+        Lengths, and the time a pose that they take beside positions, s; NaN if the first pose fails.
+    """
+    import opensim
+
+    lengths = np.full(len(poses), np.nan)
+    bare, _ = _moving_ends(opensim, poses[0])
+    _, alone = _in_poses(bare, lambda state: 0.0, poses, np.zeros(len(poses)))
+    model, path = scholz_model(surface, hint, poses[0])
+    done, taken = _in_poses(model, path.getLength, poses, lengths)
+    return lengths, taken / done - alone / len(poses) if done else np.nan
+
+
+def _in_poses(
+    model: Any,
+    quantity: Callable[[Any], float],
+    poses: Float[np.ndarray, "pose coordinate"],
+    values: Float[np.ndarray, " pose"],
+) -> tuple[int, float]:
+    """Fill in values of a quantity in poses up to a failure; return their number and time, s."""
+    taken, row = 0.0, 0
+    try:
+        state = model.initSystem()
+        coordinates = [model.getCoordinateSet().get(name) for name in COORDINATES]
+        for row, pose in enumerate(poses):
+            for coordinate, value in zip(coordinates, pose, strict=True):
+                coordinate.setValue(state, float(value), False)
+            began = time.perf_counter()
+            model.realizePosition(state)
+            values[row] = quantity(state)
+            taken += time.perf_counter() - began
+    except RuntimeError:
+        return row, taken
+    return len(poses), taken
 
 
 def by_opensim(
