@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from validation.wrapping.draws import draw_poses, draw_surface
+from validation.wrapping.shortest_paths import CHORDS, engine_paths, through_torus, torus_oracle
 from validation.wrapping.single_path import COORDINATES, MUSCLE, SurfaceDraw, by_opensim, write_model
 from wrapjax.errors import InputError
 from wrapjax.geometry.ellipsoid import planar_length, plane_through
@@ -333,3 +334,20 @@ def test_surfaces_without_extent_and_unknown_classes_are_named(odd_model):
 def test_the_curve_has_few_variables():
     """Newton's steps eliminate them one after the other, in compiled code for each."""
     assert VARIABLES <= 10
+
+
+@pytest.mark.parametrize(
+    ("sizes", "start", "end"),
+    [
+        ((0.0165, 0.0071), (-0.0042, 0.0163, 0.0085), (-0.0243, -0.0073, -0.0162)),
+        ((0.0218, 0.0068), (0.0015, -0.0269, 0.0069), (0.0582, 0.0093, -0.0505)),
+    ],
+)
+def test_of_several_ways_through_a_torus_the_shortest_is_found(sizes, start, end):
+    """Two ways are shorter than all their neighbors, and differ by a quarter of a millimeter."""
+    functions = [through_torus(chords) for chords in CHORDS]
+    ends = np.array([*start, *end])
+    length, _, on_surface = engine_paths(SurfaceDraw("torus", sizes), ends[None])
+    expected = torus_oracle(ends[:3], ends[3:], np.array([*sizes, sizes[1]]), functions)
+    assert on_surface[0] > 0.01
+    assert length[0] == pytest.approx(expected, abs=1e-6)

@@ -28,7 +28,7 @@ from wrapjax.jax_setup import set_up_jax
 #: Largest difference of length that counts as agreement, m.
 LIMIT = 1e-6
 _KINDS = ("sphere", "ellipsoid", "torus")
-_CHORDS = (40, 80)
+CHORDS = (40, 80)
 # Angles about the segment at which searches begin.
 _STARTS = np.arange(4) * 0.5 * np.pi
 # Step of central differences, m.
@@ -62,7 +62,7 @@ def _on_ellipsoid(chords: int) -> Callable[..., Any]:
     return jax.jit(jax.value_and_grad(length))
 
 
-def _through_torus(chords: int) -> Callable[..., Any]:
+def through_torus(chords: int) -> Callable[..., Any]:
     """Length of a polyline over a torus, from angles about the tube (zero at its inner edge) and the ring."""
     import jax
     import jax.numpy as jnp
@@ -115,7 +115,7 @@ def ellipsoid_oracle(start: np.ndarray, end: np.ndarray, sizes: np.ndarray, func
     for begin in _STARTS:
         aside = np.cos(begin) * one + np.sin(begin) * other
         by_chords = []
-        for chords, function in zip(_CHORDS, functions, strict=True):
+        for chords, function in zip(CHORDS, functions, strict=True):
             share = np.linspace(0.0, 1.0, chords + 1)[1:-1, None]
             nodes = scaled[0] + share * (scaled[1] - scaled[0]) + 2.0 * np.sin(np.pi * share) * aside
             angles = [_angle_towards(point, aside) for point in scaled]
@@ -141,7 +141,7 @@ def torus_oracle(start: np.ndarray, end: np.ndarray, sizes: np.ndarray, function
     ways = np.linalg.norm(points - start, axis=1) + np.linalg.norm(points - end, axis=1)
     for angle in ring[np.argsort(ways)[[0, 3]]]:
         by_chords = []
-        for chords, function in zip(_CHORDS, functions, strict=True):
+        for chords, function in zip(CHORDS, functions, strict=True):
             share = np.linspace(-1.0, 1.0, chords + 1)[1:-1]
             nodes = np.stack([-0.3 * np.sign(start[2]) * -share, np.full_like(share, angle)], axis=1)
             initial = np.concatenate([[angle, angle], nodes.ravel()])
@@ -207,9 +207,9 @@ def compare(kind: str, count: int, seed: int) -> tuple[Differences, float]:
     """Compare the paths that touch among random ones; return also the share of paths that touch."""
     per_surface = 20
     lengths, arms, touched = [], [], 0
-    maker = _through_torus if kind == "torus" else _on_ellipsoid
+    maker = through_torus if kind == "torus" else _on_ellipsoid
     oracle = torus_oracle if kind == "torus" else ellipsoid_oracle
-    functions = [maker(chords) for chords in _CHORDS]
+    functions = [maker(chords) for chords in CHORDS]
     for surface, poses in draws(kind, count // per_surface, per_surface, seed, "all"):
         from scipy.spatial.transform import Rotation
 

@@ -23,6 +23,10 @@ from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt, stack_comp
 # Points of a segment, or of the ring, among which the nearest is searched, and halvings of the interval
 # about it.
 _TRIALS, _HALVINGS = 32, 40
+# Angles of the ring at either end of a curve of which the best pair is where the search starts.
+_PAIRED = 32
+# Pairs of angles from which a path is searched.
+_STARTS = 3
 # Length of OpenSim's cylinder (m).
 _LENGTH = 10_000.0
 
@@ -134,7 +138,10 @@ def geodesic_contact(start: Vector, end: Vector, torus: PlacedSurface, decision:
         place = jnp.where(wraps, ring_angle, 0.0)
         always = jnp.asarray(True)
         ends = Ends(start, end, surface, direction, -direction)
-        return find_curve(_FAMILY, ends, jnp.stack([place, place]), Search(always, always))
+        starts = _initial(jax.lax.stop_gradient(ends), place)
+        found = jax.vmap(lambda one: find_curve(_FAMILY, ends, one, Search(always, always)))(starts)
+        shortest = jnp.argmin(jnp.where(found.minimal, found.total, jnp.inf))
+        return jax.tree.map(lambda leaf: leaf[shortest], found)
 
     curve = over_segments(one, start)(
         stack_components(start),
@@ -188,6 +195,46 @@ def _decided(
     direction = jnp.where(opposite, jnp.where(start[2] > 0.0, 1.0, -1.0), over)
     increase = jnp.where(opposite, at - _norm(end - start), 0.0)
     return crosses, hits, nearest, ring_angle, direction, increase
+
+
+def _initial(ends: Ends, place: Float[Array, ""]) -> Float[Array, "start 2"]:
+    """Choose the ring's angles at both ends of curves from which the shortest one is searched.
+
+    A path through the hole may touch near one of its ends' ring angles and leave near the other's, and
+    several paths may be shorter than all their neighbors. Of all pairs of some angles those are taken whose
+    path is shorter than that of neighboring pairs, the shortest of them, with a curve that is straight in the
+    chart and its length from its middle. A path that stays on one side of the ring's plane starts at a given
+    place.
+    """
+    ring, tube = ends.surface
+    trials = jnp.arange(_PAIRED) * (2.0 * jnp.pi / _PAIRED)
+
+    def tangents(point: Float[Array, " 3"], direction: Float[Array, ""]) -> tuple[Array, Array]:
+        """Tangent points at all angles: their angles about the tube, and the lines' lengths."""
+        about_tube = jax.vmap(lambda angle: _tangent(ends.surface, point, direction, angle)[0])(trials)
+        outward = ring - tube * jnp.cos(about_tube)
+        touch = [outward * jnp.cos(trials), outward * jnp.sin(trials), -tube * jnp.sin(about_tube)]
+        return about_tube, _norm(jnp.stack(touch, axis=1) - point[None])
+
+    first, before = tangents(ends.start, ends.at_start)
+    last, after = tangents(ends.end, ends.at_end)
+    turned = ends.at_start * (last[None] - first[:, None])
+    aside = (trials[None] - trials[:, None] + jnp.pi) % (2.0 * jnp.pi) - jnp.pi
+    middle = 0.5 * (first[:, None] + last[None])
+    on_surface = jnp.sqrt((tube * turned) ** 2 + ((ring - tube * jnp.cos(middle)) * aside) ** 2)
+    length = before[:, None] + on_surface + after[None]
+    # Where lines would cross, no path touches the tube.
+    length = jnp.where(turned > 0.0, length, jnp.inf)
+    around = [
+        jnp.roll(length, (one, other), (0, 1)) for one in (-1, 0, 1) for other in (-1, 0, 1) if one or other
+    ]
+    minimal = jnp.isfinite(length) & (length <= jnp.min(jnp.stack(around), axis=0))
+    shortest, best = jax.lax.top_k(-jnp.where(minimal, length, jnp.inf).ravel(), _STARTS)
+    best = jnp.where(jnp.isfinite(shortest), best, best[0])
+    one, other = best // _PAIRED, best % _PAIRED
+    through = jnp.stack([trials[one], trials[one] + aside[one, other]], axis=1)
+    opposite = (ends.start[2] > 0.0) != (ends.end[2] > 0.0)
+    return jnp.where(opposite & jnp.any(minimal), through, place)
 
 
 def _nearest_share(
