@@ -53,9 +53,14 @@ def cache(tmp_path_factory):
 
 def pytest_sessionstart():
     """Compile as commands do; not sooner, for jaxtyping wants to be there before any of the package."""
-    from wrapjax.jax_setup import choose_compiler_options, keep_freed_memory
+    from wrapjax.jax_setup import (
+        choose_compiler_options,
+        collect_garbage_less_often,
+        keep_freed_memory,
+    )
 
     keep_freed_memory()
+    collect_garbage_less_often()
     choose_compiler_options()
 
 
