@@ -155,6 +155,7 @@ def exact_case(lower: float, at: float, gradient: float) -> tuple[Posterior, np.
         information=10.0,
         prior_information=10.0,
         curvature=data + prior,
+        remainder=np.zeros((2, 2)),
         prior_curvature=prior,
         gradient=np.array([gradient, 0.0]),
         prior_gradient=np.zeros(2),
@@ -162,6 +163,27 @@ def exact_case(lower: float, at: float, gradient: float) -> tuple[Posterior, np.
         gradient_noise=data / 10.0,
     )
     return distribution, 10.0 * (data + prior)
+
+
+def test_deviations_of_a_linear_problem_are_exact():
+    free, precision = exact_case(-np.inf, 1.0, 0.0)
+    expected = np.sqrt(np.diagonal(np.linalg.inv(precision)))
+    np.testing.assert_allclose(free.deviation(), expected, rtol=1e-6)
+    bounded, precision = exact_case(1.0, 1.0, 3.0)
+    np.testing.assert_allclose(bounded.deviation(), [np.nan, precision[1, 1] ** -0.5], rtol=1e-6)
+
+
+def test_a_solution_moves_by_the_full_hessian():
+    """Second derivatives of the residuals count, unless with them the curvature is negative somewhere."""
+    distribution, _ = exact_case(-np.inf, 1.0, 0.0)
+    change = np.array([[1.0], [-2.0]])
+    bent = replace(distribution, remainder=np.array([[1.0, 0.5], [0.5, -1.0]]))
+    expected = -np.linalg.solve(bent.curvature + bent.remainder, change)
+    np.testing.assert_allclose(bent.step(change), expected, rtol=1e-6)
+    saddle = replace(distribution, remainder=-20.0 * np.eye(2))
+    np.testing.assert_allclose(saddle.step(change), -np.linalg.solve(saddle.curvature, change), rtol=1e-6)
+    bounded, _ = exact_case(1.0, 1.0, 3.0)
+    assert bounded.step(change)[0] == 0.0
 
 
 def test_laplace_draws_of_a_linear_problem_are_exact():
