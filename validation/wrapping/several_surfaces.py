@@ -40,7 +40,7 @@ _Ends = Float[np.ndarray, "2 3"]
 
 @dataclass(frozen=True)
 class PlacedDraw:
-    """A surface with its rotation matrix, and the positions of the path's ends, m."""
+    """Surfaces in the order of the path, and the positions of its ends, m."""
 
     surfaces: tuple[SurfaceDraw, ...]
     start: Float[np.ndarray, " 3"]

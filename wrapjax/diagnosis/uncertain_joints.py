@@ -75,7 +75,7 @@ class ParameterError:
     Parameters
     ----------
     name
-        Parameter, as ``soleus_l.emg_scale``, or of a wrap, as ``IL_at_brim_l.radius_m``.
+        Parameter, as ``soleus_l.emg_scale``, or of a wrap, as ``IL_at_brim_l.radius_factor``.
     unit
         SI unit.
     value
