@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -16,8 +18,11 @@ from benchmarks.engine import POSES, SAMPLES, wrap_parameter_samples, wrapping_m
 from benchmarks.metric import Metric
 from benchmarks.tiled_problems import perturb_problem
 from benchmarks.timing import median_seconds
+from benchmarks.wrap_surfaces import KINDS, swept_path
+from validation.wrapping.single_path import COORDINATES, write_model
 from wrapjax.calibration.objective import Objective
 from wrapjax.geometry.engine import PosedPath, wrap_at_samples
+from wrapjax.path_sources.muscle_paths import PosedMuscles, muscle_paths
 from wrapjax.subject.subject import Subject
 
 #: Subjects of one shape in one batch.
@@ -26,6 +31,8 @@ SUBJECTS = 32
 TARGET = 1e-9
 #: Least speed-up of a batch on a GPU over the same problems in turn.
 BATCH_TARGET = 3
+#: Poses of a path round one surface of each kind.
+SURFACE_POSES = 10_000
 _REPEATS = 5
 
 
@@ -43,12 +50,13 @@ def devices(subject: Subject, case: Case) -> list[Metric]:
     engine, poses = wrapping_muscles(subject)
     posed = engine.posed(poses)
     paths = [posed[name] for name in engine.muscles if len(engine.wraps_of(name)) == 1]
+    surfaces = {kind: path_round(kind) for kind in KINDS}
     kinds = {"cpu": jax.devices("cpu")[0]}
     try:
         kinds["gpu"] = jax.devices("gpu")[0]
     except RuntimeError:
         missing = Metric("devices/gpu", np.nan, "x", "higher", "no GPU on this machine", np.inf)
-    by_kind = {kind: _measure(device, paths, case) for kind, device in kinds.items()}
+    by_kind = {kind: _measure(device, paths, surfaces, case) for kind, device in kinds.items()}
     metrics = [metric for kind in kinds for metric in by_kind[kind][1]]
     if "gpu" not in kinds:
         return [*metrics, missing]
@@ -71,7 +79,18 @@ def on_device(device: jax.Device, tree: Any) -> Any:
     return jax.tree.map(lambda leaf: jax.device_put(leaf, device) if eqx.is_array_like(leaf) else leaf, tree)
 
 
-def _measure(device: jax.Device, paths: list[PosedPath], case: Case) -> tuple[dict[str, Any], list[Metric]]:
+def path_round(kind: str, seed: int = 1) -> PosedMuscles:
+    """Draw the shortest path round one unrestricted surface in `SURFACE_POSES` poses."""
+    surface, poses = swept_path(kind, SURFACE_POSES, seed)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "path.osim"
+        write_model([surface], file)
+        return muscle_paths(file, coordinates=COORDINATES).posed(poses)
+
+
+def _measure(
+    device: jax.Device, paths: list[PosedPath], surfaces: dict[str, PosedMuscles], case: Case
+) -> tuple[dict[str, Any], list[Metric]]:
     """Compute and time everything on a device; return the results by name, and the metrics."""
     with jax.default_device(device):
         paths = on_device(device, paths)
@@ -86,7 +105,11 @@ def _measure(device: jax.Device, paths: list[PosedPath], case: Case) -> tuple[di
             "in_turn": lambda: [linearize(*one) for one in zip(problems, points, strict=True)],
             "together": lambda: together(stacked),
         }
-        results = {name: calls[name]() for name in ("engine", "linearization", "together")}
+        evaluate = eqx.filter_jit(lambda posed: posed())
+        for name, posed in surfaces.items():
+            there = on_device(device, posed)
+            calls[name] = lambda there=there: evaluate(there)  # type: ignore[misc]
+        results = {name: calls[name]() for name in ("engine", "linearization", "together", *surfaces)}
         seconds = median_seconds(calls, _REPEATS)
     kind = device.platform
     analyses = len(paths) * POSES * SAMPLES
@@ -97,6 +120,16 @@ def _measure(device: jax.Device, paths: list[PosedPath], case: Case) -> tuple[di
             "us",
             "lower",
             f"one analysis, {len(paths)} muscles round one cylinder, {POSES} poses, {SAMPLES} samples",
+        ),
+        *(
+            Metric(
+                f"devices/{kind}/{name}",
+                1e6 * seconds[name] / SURFACE_POSES,
+                "us",
+                "lower",
+                f"one shortest path with six moment arms round one {name}, {SURFACE_POSES} poses",
+            )
+            for name in surfaces
         ),
         Metric(f"devices/{kind}/linearization", 1e3 * seconds["linearization"], "ms", "lower", case.size),
         Metric(

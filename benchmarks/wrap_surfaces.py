@@ -24,6 +24,8 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.machine import pin_threads
+from validation.wrapping.draws import draw_sweep, draws
+from validation.wrapping.single_path import SurfaceDraw
 from wrapjax.jax_setup import set_up_jax
 
 KINDS = ("cylinder", "sphere", "ellipsoid", "torus")
@@ -42,19 +44,23 @@ def best_seconds(function: Callable[[], object]) -> float:
     return min(times)
 
 
+def swept_path(kind: str, count: int, seed: int) -> tuple[SurfaceDraw, Float[np.ndarray, "pose coordinate"]]:
+    """Draw an unrestricted surface and poses of a path whose end moves once round a circle."""
+    ((surface, ends),) = draws(kind, 1, 1, seed, "all")
+    return surface, draw_sweep(ends[0], count, _REACH, np.random.default_rng(seed + 1))[0]
+
+
 def compare(kind: str, count: int, seed: int) -> dict[str, float]:
     """Time one path and pose by the engine's modes and by OpenSim, s."""
     import equinox as eqx
     import jax
 
-    from validation.wrapping.draws import draw_sweep, draws
     from validation.wrapping.scholz_paths import contact_hint
     from validation.wrapping.single_path import COORDINATES, MUSCLE, by_scholz, write_model
     from wrapjax.osim.path_engine import PathEngine
     from wrapjax.path_sources.muscle_paths import muscle_paths
 
-    ((surface, ends),) = draws(kind, 1, 1, seed, "all")
-    poses, _ = draw_sweep(ends[0], count, _REACH, np.random.default_rng(seed + 1))
+    surface, poses = swept_path(kind, count, seed)
     seconds = {}
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "path.osim"

@@ -8,11 +8,14 @@ import pytest
 from benchmarks.batching import batched
 from benchmarks.devices import on_device
 from benchmarks.tiled_problems import perturb_problem
+from benchmarks.wrap_surfaces import KINDS, swept_path
 from tests.model.small import small_limited_objective, small_objective
 from tests.subject.synthetic import write_wrapped_subject
+from validation.wrapping.single_path import COORDINATES, write_model
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, wrap_at_samples
 from wrapjax.osim.model import describe_model
+from wrapjax.path_sources.muscle_paths import MODES, muscle_paths
 
 #: Relative to the largest number of each array: sums are added up in another order.
 TOLERANCE = 1e-9
@@ -70,6 +73,20 @@ def test_paths_agree(wrapping, tmp_path):
     with jax.default_device(jax.devices("cpu")[0]):
         here = wrap_at_samples(posed, samples, wrapping)
     assert_alike(there, here)
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("kind", KINDS)
+def test_paths_round_each_surface_agree(kind, mode, tmp_path):
+    device = gpu()
+    surface, poses = swept_path(kind, count=100, seed=1)
+    write_model([surface], tmp_path / "path.osim")
+    posed = muscle_paths(tmp_path / "path.osim", mode=mode, coordinates=COORDINATES).posed(poses)
+    evaluate = eqx.filter_jit(lambda own: own())
+    there = evaluate(on_device(device, posed))
+    assert there.length.devices() == {device}
+    assert_alike(there, evaluate(on_device(jax.devices("cpu")[0], posed)))
 
 
 @pytest.mark.gpu
