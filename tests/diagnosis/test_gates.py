@@ -126,9 +126,9 @@ def test_the_strongest_of_a_tie_is_fitted_and_all_of_a_joint_claim(generator):
 
 
 def test_plausible_within_the_limits_only():
-    within = plausibility([("shift", 0.01, 0.05), ("mass", -0.1, 0.3)])
+    within = plausibility([("shift", 0.01, 0.05, "m"), ("mass", -0.1, 0.3, "1")])
     assert within.passed and within.name == "mass"
-    assert not plausibility([("shift", 0.01, 0.05), ("mass", -0.3, 0.3)]).passed
+    assert not plausibility([("shift", 0.01, 0.05, "m"), ("mass", -0.3, 0.3, "1")]).passed
     assert plausibility([]).passed
 
 

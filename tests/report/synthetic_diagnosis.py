@@ -176,7 +176,7 @@ def partial() -> DiagnosisResult:
         gates=replace(
             GATES,
             adequate=Adequate(3.1, 2.6),
-            plausible=Plausible("ankle_foot_orthosis dorsiflexion_stiffness", 4.5, 4.5),
+            plausible=Plausible("ankle_foot_orthosis dorsiflexion_stiffness", 4.5, 4.5, "N m/deg"),
         ),
     )
 

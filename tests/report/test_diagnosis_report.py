@@ -40,7 +40,7 @@ from wrapjax.report.diagnosis_numbers import (
 )
 from wrapjax.report.diagnosis_page import render_diagnosis, write_diagnosis
 from wrapjax.report.diagnosis_shrinkage import MOST_RELEASED, accepted_shares, most_released
-from wrapjax.report.diagnosis_words import diagnosis_findings, diagnosis_text, untested_findings
+from wrapjax.report.diagnosis_words import diagnosis_findings, diagnosis_text, gate_rows, untested_findings
 
 #: Keys that gap.json always has.
 KEYS = {
@@ -252,6 +252,13 @@ def test_gates_and_families_are_numbers(written, subject):
     for outcome in INCONCLUSIVE:
         gates = _content(written(outcome, subject))["gates"]
         assert gates.keys() == asked.keys() and not any(gate["passed"] for gate in gates.values())
+
+
+def test_reasons_have_names_of_effects_as_words():
+    sentences = diagnosis_findings(partial())
+    assert "With ankle foot orthosis a repeatable error of 3.1 N m is left." in sentences
+    (row,) = (figure for name, _, figure, _ in gate_rows(partial()) if name == "plausible")
+    assert row == "ankle foot orthosis dorsiflexion stiffness 4.5; limit 4.5 N m/deg"
 
 
 def test_the_page_shows_the_gates(written, subject):

@@ -208,7 +208,8 @@ def score_case(truth: dict[str, Any], own: LinearizedCase) -> ScoredCase:
     candidate = next(one for one in linearized.candidates if one.id == strongest.id)
     limit = np.minimum(candidate.limit, MOST_DEVIATIONS * candidate.prior_sd)
     sizes = [
-        (strongest.id, float(strongest.effect_sizes[place]), float(limit[place])) for place in strongest.part
+        (strongest.id, float(strongest.effect_sizes[place]), float(limit[place]), "1")
+        for place in strongest.part
     ]
     gates = Gates(
         adequacy(model, linearized, own.null_residuals, signatures),

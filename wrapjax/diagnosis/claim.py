@@ -151,7 +151,10 @@ def apply_gates(decision: Decision, gates: Gates, claimed: Sequence[str]) -> Dec
         return _unknown(decision, claimed, reason)
     if gates.plausible is not None and "plausible" in failed:
         size = gates.plausible
-        reason = f"{names} would need {size.name} of {size.value:.3g}; up to {size.limit:.3g} is plausible"
+        unit = "" if size.unit == "1" else f" {size.unit}"
+        reason = (
+            f"{size.name} would have to be {size.value:.3g}{unit}; up to {size.limit:.3g}{unit} is plausible"
+        )
         return _unknown(decision, claimed, reason)
     if gates.specific is not None and "specific" in failed:
         reason = f"{names} predicts unseen cycles no better than effects without a mechanism do"
@@ -205,10 +208,10 @@ def _sizes(
     scores: Scores,
     refits: Mapping[Ids, Refit],
     together: Ids,
-) -> tuple[tuple[str, float, float], ...]:
-    """List name, value and limit of the sizes of effects that are fitted together; see `gates.Claim`."""
+) -> tuple[tuple[str, float, float, str], ...]:
+    """List name, value, limit and unit of the sizes of effects fitted together; see `gates.Claim`."""
     refit = refits.get(together)
-    sizes: list[tuple[str, float, float]] = []
+    sizes: list[tuple[str, float, float, str]] = []
     place = 0
     for id in together:
         score = scores.by_id[id]
@@ -219,7 +222,12 @@ def _sizes(
             place += len(part)
         parameters = [data.calibration_effects[id].parameters[number] for number in part]
         sizes += [
-            (f"{id} {one.name}", float(value), float(min(one.limit, MOST_DEVIATIONS * one.prior_sd)))
+            (
+                f"{id} {one.name}",
+                float(value),
+                float(min(one.limit, MOST_DEVIATIONS * one.prior_sd)),
+                one.unit,
+            )
             for one, value in zip(parameters, values, strict=True)
         ]
     return tuple(sizes)

@@ -75,13 +75,14 @@ class Plausible:
 
     Parameters
     ----------
-    name, value, limit
-        Effect size that is nearest to its limit or farthest beyond it, with that limit, in its unit.
+    name, value, limit, unit
+        Effect size that is nearest to its limit or farthest beyond it, with that limit, in this unit.
     """
 
     name: str
     value: float
     limit: float
+    unit: str = "1"
 
     @property
     def passed(self) -> bool:
@@ -167,8 +168,8 @@ class Claim:
     any_of
         Effects of which one has to come first in parts of the recording: those named, or all members.
     sizes
-        Name, value and limit of each effect size of ``together``, in its unit; the limit is the smaller one
-        of the published range and three prior standard deviations.
+        Name, value, limit and unit of each effect size of ``together``; the limit is the smaller one of the
+        published range and three prior standard deviations.
     residual
         Residual at the prior mean of all parameters and without the effects, linearised about the fit of
         ``together``, N m; None to linearise about the baseline fit. An effect that is large is not linear.
@@ -176,7 +177,7 @@ class Claim:
 
     together: tuple[str, ...] = ()
     any_of: tuple[str, ...] = ()
-    sizes: tuple[tuple[str, float, float], ...] = ()
+    sizes: tuple[tuple[str, float, float, str], ...] = ()
     residual: Float[np.ndarray, "cycle coordinate phase"] | None = None
 
 
@@ -291,7 +292,7 @@ def moment_accuracy(measured_moment_sd: Float[np.ndarray, " coordinate"]) -> flo
     return MOMENT_ACCURACY * float(np.sqrt(np.mean(np.square(measured_moment_sd))))
 
 
-def plausibility(sizes: Sequence[tuple[str, float, float]]) -> Plausible:
+def plausibility(sizes: Sequence[tuple[str, float, float, str]]) -> Plausible:
     """Find the effect size that is largest relative to its limit.
 
     Parameters

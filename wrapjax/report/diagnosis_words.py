@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import textwrap
 from collections.abc import Iterable, Sequence
 
@@ -36,7 +37,7 @@ def diagnosis_findings(result: DiagnosisResult) -> list[str]:
     """
     # For the other outcomes, the reason repeats the statement of the outcome.
     needed = result.reason and result.outcome in (*INCONCLUSIVE, "unknown", "family")
-    reason = [_sentence(result.reason)] if needed else []
+    reason = [_sentence(with_readable_effects(result.reason))] if needed else []
     if result.outcome in INCONCLUSIVE:
         return [_outcome_finding(result), *reason]
     first = f"{_explainable_finding(result.explainable_share)} {_outcome_finding(result)}"
@@ -105,7 +106,8 @@ def gate_rows(result: DiagnosisResult) -> list[tuple[str, str, str, str]]:
             (
                 "plausible",
                 "Are all effect sizes within their published ranges and three standard deviations?",
-                f"{readable(size.name)} {size.value:.3g}; limit {size.limit:.3g}",
+                f"{readable(size.name)} {size.value:.3g}; limit {size.limit:.3g}"
+                + ("" if size.unit == "1" else f" {size.unit}"),
                 size.passed,
             )
         )
@@ -155,6 +157,13 @@ def effect_names(ids: Sequence[str]) -> str:
 def effect_list(ids: Iterable[str]) -> str:
     """Write the names of effects as a list."""
     return ", ".join(map(readable, ids))
+
+
+def with_readable_effects(text: str) -> str:
+    """Write the names of all effects in a text without underscores."""
+    for id in CATALOGUE:
+        text = re.sub(rf"\b{id}\b", readable(id), text)
+    return text
 
 
 def effect_sizes_in_words(effect_sizes: Sequence[EffectSize], most: int = 3) -> str:
