@@ -15,6 +15,7 @@ from wrapjax.diagnosis.decision import (
     decide_on_single_effect,
     describe_effect,
     probabilities,
+    refused_evidence,
     tied_effects,
 )
 
@@ -206,3 +207,15 @@ def test_an_effect_that_does_not_improve_held_out_cycles_is_not_named():
     assert (
         decide_on_single_effect(got, EVIDENCE, ("one",), 5.0, (), (), {"two": (-1.0,) * 5}).outcome == "named"
     )
+
+
+def test_refused_evidence_is_limited_and_keeps_its_order():
+    """Of the strongest effects of people whose model is grossly wrong, none is more probable than none."""
+    evidence = {"a": 74.0, "b": 28.0, "c": 6.0, "d": 0.02, "e": -0.7}
+    limited = refused_evidence(evidence, 5.0)
+    assert list(sorted(limited, key=lambda id: -limited[id])) == list(evidence)
+    assert all(value < 5.0 for value in limited.values())
+    assert limited["d"] == pytest.approx(0.02, rel=0.01) and limited["e"] == -0.7
+    shares = probabilities(limited, 1.0, TUNING)
+    assert shares.none + shares.unknown > max(shares.effects.values())
+    assert max(refused_evidence(evidence, -1.0).values()) < 1e-300

@@ -14,6 +14,7 @@ from wrapjax.diagnosis.claim import examine_claim
 from wrapjax.diagnosis.diagnosis import diagnose, diagnose_calibrated
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.effect import Effects
+from wrapjax.diagnosis.score import Scores
 
 #: Few effects, which compile fast.
 SCORED = {"joint_damping", "emg_drift"}
@@ -125,6 +126,17 @@ def test_nothing_is_both_fitted_and_not_testable(found, monkeypatch, tmp_path, r
     assert ("emg_drift" in hidden) == (not refused)
     assert {id for one in again.result.refits for id in one.ids} == SCORED - hidden
     again.save(tmp_path / "gap")
+
+
+def test_a_refused_claim_is_not_probable(found, monkeypatch):
+    """The effect with the largest evidence keeps its place, but is no more probable than none of them."""
+    strong = {"joint_damping": 40.0, "emg_drift": 30.0}
+    monkeypatch.setattr(Scores, "evidence", property(lambda _: strong))
+    result = found.without(*WITHOUT).result
+    assert result.outcome == "unknown" and result.best_partial
+    shares = {effect.id: effect.probability for effect in result.effects}
+    assert 0.5 > shares["joint_damping"] > shares["emg_drift"] > 0.1
+    assert "none_of_these" in result.credible_set
 
 
 def test_several_effects_are_refitted_together_and_share_the_shrinkage(found, monkeypatch, tmp_path):

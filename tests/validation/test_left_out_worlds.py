@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.validation.synthetic_linearizations import SHAPE, lines
-from validation.diagnosis.left_out_worlds import ablations, decide_by_world, decision_on, table
-from validation.diagnosis.scored_cases import score_case
+from validation.diagnosis.left_out_worlds import ablations, decide_by_world, table
+from validation.diagnosis.scored_cases import decision_on, score_case
 from wrapjax.diagnosis.decision import DecisionConstants
 from wrapjax.diagnosis.gates import Adequate, Plausible, Specific
 
@@ -73,7 +73,13 @@ def test_a_claim_that_fails_a_gate_is_not_named(cases):
     assert decision_on(strong, constants).outcome == "named"
     gates = replace(strong.claim.gates, adequate=Adequate(5.0, 1.0))
     inadequate = replace(strong, claim=replace(strong.claim, gates=gates))
-    assert decision_on(inadequate, constants).outcome == "unknown"
+    refused = decision_on(inadequate, constants)
+    assert refused.outcome == "unknown"
+    before, after = decision_on(strong, constants).probabilities, refused.probabilities
+    cause = strong.ranked[0]
+    assert before == strong.stated(constants) and before.effects[cause] > 0.9
+    assert after == inadequate.stated(constants) and after.effects[cause] < after.none + after.unknown
+    assert max(after.effects, key=lambda id: after.effects[id]) == cause
 
 
 def test_an_ignored_gate_is_passed_and_has_its_row(cases):

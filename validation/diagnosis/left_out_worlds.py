@@ -11,28 +11,30 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from validation.blind.score.figures import calibration_error
 from validation.diagnosis.linearizations import linearizations_parser
-from validation.diagnosis.scored_cases import GROSS_MISFIT, OUTCOMES, ScoredCase, score_cases
+from validation.diagnosis.scored_cases import (
+    GROSS_MISFIT,
+    OUTCOMES,
+    ScoredCase,
+    decision_on,
+    score_cases,
+)
 from validation.diagnosis.temperature_scaling import fit_constants
-from wrapjax.diagnosis.claim import apply_gates, claimed_effects, with_family
 from wrapjax.diagnosis.decision import (
     Decision,
     DecisionConstants,
     Probabilities,
     credible_families,
     credible_set,
-    decide_on_single_effect,
 )
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE, family_of
-from wrapjax.diagnosis.gates import Adequate, Gates, stability
+from wrapjax.diagnosis.gates import Gates
 from wrapjax.errors import InputError
-
-_CONTROLS = tuple(id for id, one in CATALOGUE.items() if one.negative_control)
 
 
 @dataclass(frozen=True)
@@ -156,42 +158,6 @@ def decide_by_world(
             if one.truth["world"] == world
         ]
     return decided
-
-
-def decision_on(case: ScoredCase, constants: DecisionConstants, ignored: Sequence[str] = ()) -> Decision:
-    """Decide on a case from its linearised model; see the module for what this leaves out.
-
-    Parameters
-    ----------
-    case, constants
-        Scored case, and constants of the decision.
-    ignored
-        Names of gates that every claim passes.
-    """
-    assert case.claim is not None
-    threshold = max(constants.least_detection_threshold, case.claim.null_threshold)
-    stated = case.stated(constants)
-    decision = decide_on_single_effect(
-        stated, case.evidence, case.claim.tie, threshold, _CONTROLS, case.claim.undetectable
-    )
-    decision = with_family(replace(decision, probabilities=stated), case.evidence, threshold)
-    together, any_of = claimed_effects(decision, case.evidence)
-    found = case.claim.gates
-
-    def allowed(gate: Adequate) -> Adequate:
-        floor = max(constants.adequacy_factor * gate.floor_rms, case.accuracy)
-        return replace(gate, floor_rms=np.inf if "adequate" in ignored else floor)
-
-    if not together:
-        return apply_gates(decision, Gates(allowed(case.plain)), ())
-    stable = stability(case.claim.parts, any_of, threshold)
-    gates = Gates(
-        allowed(found.adequate),
-        None if "plausible" in ignored else found.plausible,
-        None if "stable" in ignored else stable,
-        None if "specific" in ignored else found.specific,
-    )
-    return apply_gates(decision, gates, decision.accepted or together)
 
 
 def ablations(cases: Sequence[ScoredCase], complete: dict[str, list[DecidedCase]]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +12,15 @@ import numpy as np
 from validation.diagnosis.bank_cases import CLEAR
 from validation.diagnosis.linearizations import LinearizedCase, development_files, load_valid
 from wrapjax.cohorts.scheduling import run_jobs
+from wrapjax.diagnosis.claim import apply_gates, claimed_effects, with_family
 from wrapjax.diagnosis.decision import (
+    Decision,
     DecisionConstants,
     Probabilities,
+    decide_on_single_effect,
     family_levels,
     probabilities,
+    refused_evidence,
     set_levels,
     tied_effects,
 )
@@ -39,6 +43,7 @@ from wrapjax.diagnosis.score_test import Score
 from wrapjax.errors import InputError, Problem
 from wrapjax.progress import print_progress
 
+_CONTROLS = tuple(id for id, one in CATALOGUE.items() if one.negative_control)
 #: World in which names are not scored, and which no constant is fitted to: its model errors are larger than
 #: any effect.
 GROSS_MISFIT = "gross_misfit"
@@ -82,7 +87,15 @@ class ScoredCase:
         return self.plain.left_rms / max(adequacy_factor * self.plain.floor_rms, self.accuracy)
 
     def stated(self, constants: DecisionConstants) -> Probabilities:
-        """Probabilities by these constants."""
+        """Probabilities by these constants, after the gates if these were computed."""
+        if self.claim is None:
+            return self.stated_by_evidence(constants)
+        stated = decision_on(self, constants).probabilities
+        assert stated is not None
+        return stated
+
+    def stated_by_evidence(self, constants: DecisionConstants) -> Probabilities:
+        """Probabilities by these constants without regard to gates."""
         return probabilities(self.evidence, self.error_left(constants.adequacy_factor), constants)
 
     @property
@@ -232,6 +245,46 @@ def score_case(truth: dict[str, Any], own: LinearizedCase) -> ScoredCase:
         claim,
         {id: one.detectability for id, one in scores.by_id.items()},
     )
+
+
+def decision_on(case: ScoredCase, constants: DecisionConstants, ignored: Sequence[str] = ()) -> Decision:
+    """Decide on a case from its linearised model; see the module for what this leaves out.
+
+    Parameters
+    ----------
+    case, constants
+        Scored case, and constants of the decision.
+    ignored
+        Names of gates that every claim passes.
+    """
+    assert case.claim is not None
+    threshold = max(constants.least_detection_threshold, case.claim.null_threshold)
+    stated = case.stated_by_evidence(constants)
+    decision = decide_on_single_effect(
+        stated, case.evidence, case.claim.tie, threshold, _CONTROLS, case.claim.undetectable
+    )
+    decision = with_family(replace(decision, probabilities=stated), case.evidence, threshold)
+    together, any_of = claimed_effects(decision, case.evidence)
+    found = case.claim.gates
+
+    def allowed(gate: Adequate) -> Adequate:
+        floor = max(constants.adequacy_factor * gate.floor_rms, case.accuracy)
+        return replace(gate, floor_rms=np.inf if "adequate" in ignored else floor)
+
+    if not together:
+        return apply_gates(decision, Gates(allowed(case.plain)), ())
+    stable = stability(case.claim.parts, any_of, threshold)
+    gates = Gates(
+        allowed(found.adequate),
+        None if "plausible" in ignored else found.plausible,
+        None if "stable" in ignored else stable,
+        None if "specific" in ignored else found.specific,
+    )
+    decision = apply_gates(decision, gates, decision.accepted or together)
+    if not gates.failed:
+        return decision
+    limited = replace(case, evidence=refused_evidence(case.evidence, constants.offset))
+    return replace(decision, probabilities=limited.stated_by_evidence(constants))
 
 
 def ranking(cases: Sequence[ScoredCase]) -> str:

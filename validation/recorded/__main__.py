@@ -22,9 +22,8 @@ import numpy as np
 
 from benchmarks.machine import pin_threads
 from validation.diagnosis.case_answers import calibration_fingerprint
-from validation.diagnosis.left_out_worlds import decision_on
 from validation.diagnosis.linearizations import Job, linearize_case, load
-from validation.diagnosis.scored_cases import ScoredCase, score_case
+from validation.diagnosis.scored_cases import ScoredCase, decision_on, score_case
 from validation.recorded.manipulations import Manipulation, manipulations_of, write_manipulation
 from wrapjax.cohorts.scheduling import run_jobs
 from wrapjax.diagnosis.decision import DecisionConstants

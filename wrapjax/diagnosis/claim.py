@@ -11,7 +11,15 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.diagnosis.decision import MIN_PROBABILITY, Decision, DecisionConstants
+from wrapjax.diagnosis.decision import (
+    MIN_PROBABILITY,
+    Decision,
+    DecisionConstants,
+    probabilities,
+    refused_evidence,
+    tie_of_strongest,
+    with_probabilities,
+)
 from wrapjax.diagnosis.effects.catalogue import family_of, family_probabilities, same_family
 from wrapjax.diagnosis.gates import (
     MOST_DEVIATIONS,
@@ -66,7 +74,12 @@ def examine_claim(
         _residual_about_refit(data, linearized, scores, refits[together]) if together in refits else None,
     )
     gates = examine(linearized, scores, null_residuals, recorded_of(data), claim, constants.adequacy_factor)
-    return apply_gates(decision, gates, decision.accepted or together)
+    decision = apply_gates(decision, gates, decision.accepted or together)
+    if not gates.failed:
+        return decision
+    limited = refused_evidence(scores.evidence, constants.offset)
+    stated = probabilities(limited, plain.relative, constants)
+    return with_probabilities(decision, stated, tie_of_strongest(scores), constants)
 
 
 def recorded_of(data: DiagnosisInput) -> Recorded:

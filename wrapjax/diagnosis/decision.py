@@ -170,12 +170,7 @@ def decide(
         Repeatable error of the model without any effect, relative to what is allowed; see `gates.Adequate`.
     """
     evidence = scores.evidence
-    strongest = next(iter(evidence), None)
-    tie = (
-        ()
-        if strongest is None
-        else tied_effects(strongest, scores.compared, scores.distinguishability, evidence)
-    )
+    tie = tie_of_strongest(scores)
     probability = probabilities(evidence, error_left, constants)
     gains = verification.gains
     decision = decide_on_single_effect(
@@ -187,12 +182,7 @@ def decide(
         _undetectable(scores),
         {id: gains[(id,)] for id in evidence if (id,) in gains},
     )
-    decision = replace(
-        decision,
-        probabilities=probability,
-        credible_set=credible_set(probability, tie, constants.set_level),
-        credible_families=credible_families(probability, constants.family_level),
-    )
+    decision = with_probabilities(decision, probability, tie, constants)
     joint = scores.jointly_significant
     if (
         may_name_jointly(decision, joint, (*_negative_controls(data), *_undetectable(scores)))
@@ -202,6 +192,18 @@ def decide(
         reason = "these effects explain the error together"
         decision = replace(decision, outcome="named", reason=reason, named=joint, tie=())
     return decision
+
+
+def with_probabilities(
+    decision: Decision, probability: Probabilities, tie: Sequence[str], constants: DecisionConstants
+) -> Decision:
+    """State probabilities in a decision, with the credible sets that follow from them."""
+    return replace(
+        decision,
+        probabilities=probability,
+        credible_set=credible_set(probability, tie, constants.set_level),
+        credible_families=credible_families(probability, constants.family_level),
+    )
 
 
 def subsets_to_refit(
@@ -258,6 +260,33 @@ def probabilities(
     return Probabilities(
         dict(zip(ids, share[:-1].tolist(), strict=True)), no_effect * (1.0 - unknown), no_effect * unknown
     )
+
+
+def refused_evidence(evidence: Mapping[str, float], offset: float) -> dict[str, float]:
+    """Limit the evidence of effects where a gate refuses the claim, without a change of their order.
+
+    Evidence compares an effect with a model that is right without it. Where the strongest effect is refused,
+    the model is wrong in another way, and evidence grows with what is wrong. It then says of no effect that
+    it is more probable than none: e > 0 becomes o (1 - exp(-e / o)), which is e for a small one and less than
+    ``offset`` o for any.
+
+    Parameters
+    ----------
+    evidence
+        Evidence of each effect, nats.
+    offset
+        Evidence at which an effect is as probable as none, nats.
+    """
+    limit = max(offset, np.finfo(float).tiny)
+    return {id: -limit * math.expm1(-one / limit) if one > 0.0 else one for id, one in evidence.items()}
+
+
+def tie_of_strongest(scores: Scores) -> tuple[str, ...]:
+    """Select the strongest effect and those that form a tie with it; see `tied_effects`."""
+    strongest = next(iter(scores.evidence), None)
+    if strongest is None:
+        return ()
+    return tied_effects(strongest, scores.compared, scores.distinguishability, scores.evidence)
 
 
 def tied_effects(
