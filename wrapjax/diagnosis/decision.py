@@ -277,7 +277,7 @@ def refused_evidence(evidence: Mapping[str, float], offset: float) -> dict[str, 
     offset
         Evidence at which an effect is as probable as none, nats.
     """
-    limit = max(offset, np.finfo(float).tiny)
+    limit = max(offset, 1e-9)
     return {id: -limit * math.expm1(-one / limit) if one > 0.0 else one for id, one in evidence.items()}
 
 
