@@ -254,6 +254,12 @@ def test_gates_and_families_are_numbers(written, subject):
         assert gates.keys() == asked.keys() and not any(gate["passed"] for gate in gates.values())
 
 
+def test_the_page_says_why_a_refused_effect_is_improbable(subject):
+    said = "Since a gate refuses the strongest effect"
+    assert said in render_diagnosis(subject, partial())
+    assert said not in render_diagnosis(subject, named())
+
+
 def test_reasons_have_names_of_effects_as_words():
     sentences = diagnosis_findings(partial())
     assert "With ankle foot orthosis a repeatable error of 3.1 N m is left." in sentences
