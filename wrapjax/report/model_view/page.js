@@ -434,26 +434,29 @@
     }
   }
 
-  function lookAtModel() {
+  // Look at all muscles over the present motion, from the present direction or from the side of the leg.
+  function lookAtModel(direction) {
     const box = new THREE.Box3();
     const point = new THREE.Vector3();
+    const first = motion().first, end = first + motion().progress.length;
     for (const muscle of data.muscles) {
       const path = muscle.paths[0];
-      for (let vertex = 0; vertex < path.first[F]; vertex += 3) {
+      for (let vertex = path.first[first]; vertex < path.first[end]; vertex += 3) {
         box.expandByPoint(point.fromArray(path.vertices, 3 * vertex).multiplyScalar(data.step));
       }
     }
     const middle = box.getCenter(new THREE.Vector3());
     const size = box.getSize(new THREE.Vector3());
-    // From the side of the leg: z points to the right. Of two legs, the right one is nearer.
+    // z points to the right. Of two legs, the right one is nearer.
     const side = middle.z < -0.02 ? -1 : 1;
+    const from = direction || new THREE.Vector3(0.42, 0.12, side);
     const span = Math.max(size.y, 0.2);
     const wide = Math.max(size.x, size.z, 0.15);
     const aspect = stage.clientWidth / stage.clientHeight / (state.view === "side" ? 2 : 1);
     const half = Math.tan((Math.PI / 180) * camera.fov / 2);
     const distance = 1.12 * Math.max(span / 2 / half, wide / 2 / half / aspect) + wide / 2;
     controls.target.copy(middle);
-    camera.position.set(0.42, 0.12, side).normalize().multiplyScalar(distance).add(middle);
+    camera.position.copy(from).normalize().multiplyScalar(distance).add(middle);
     controls.update();
   }
 
@@ -750,7 +753,11 @@
     Object.assign(state, changes);
     state.frame = Math.min(Math.max(Math.round(state.frame), 0), motion().progress.length - 1);
     refresh(old);
-    if ("view" in changes && (changes.view === "side") !== (old.view === "side")) { lookAtModel(); draw(); }
+    const divided = "view" in changes && (changes.view === "side") !== (old.view === "side");
+    if (divided || state.motion !== old.motion) {
+      lookAtModel(divided ? undefined : camera.position.clone().sub(controls.target));
+      draw();
+    }
   }
 
   byId("frame").addEventListener("input", (event) => change({ frame: Number(event.target.value) }));
