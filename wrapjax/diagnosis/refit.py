@@ -53,8 +53,14 @@ class Refit:
 
 
 def effects_to_refit(scores: Scores) -> tuple[Ids, ...]:
-    """Select the effects with the strongest evidence, if it is positive, for a refit of each alone."""
-    return tuple((id,) for id, evidence in scores.evidence.items() if evidence > 0.0)[:REFITTED]
+    """Select the strongest effect, if its evidence is positive, and further ones that are significant.
+
+    Each is refitted alone. A decision needs the refit of the strongest; others are refitted to be compared
+    with it, which says nothing where their evidence is that of noise.
+    """
+    first = [id for id, evidence in scores.evidence.items() if evidence > 0.0][:REFITTED]
+    significant = [id for id in first[1:] if scores.evidence[id] > scores.detection_threshold]
+    return tuple((id,) for id in (*first[:1], *significant))
 
 
 def refit(
