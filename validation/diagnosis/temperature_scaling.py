@@ -164,18 +164,26 @@ def fit_constants(cases: Sequence[ScoredCase], constants: DecisionConstants) -> 
         offset=round(best.offset, 2),
         unknown_scale=round(best.unknown_scale, 2),
     )
-    stated = [(one, one.stated(best)) for one in cases]
     return replace(
         best,
-        set_level=covering_level([one.set_level(own) for one, own in stated]),
-        family_level=covering_level([one.family_level(own) for one, own in stated]),
+        set_level=_covering_everywhere(cases, lambda one: one.set_level(one.stated(best))),
+        family_level=_covering_everywhere(cases, lambda one: one.family_level(one.stated(best))),
     )
 
 
-def covering_level(known: Sequence[float | None]) -> float:
-    """Compute the level of credible sets that cover a new case with 90 % probability (split conformal).
+def _covering_everywhere(cases: Sequence[ScoredCase], level: Callable[[ScoredCase], float | None]) -> float:
+    """Compute the level of credible sets that cover 90 % of the cases of every world.
 
-    See Vovk et al. 2005 (doi:10.1007/b106715); cases are taken as exchangeable.
+    A new person belongs to none of these worlds, so that the world that needs most counts, not their mean.
+    """
+    by_world: dict[str, list[float | None]] = {}
+    for one in cases:
+        by_world.setdefault(one.truth.get("world", ""), []).append(level(one))
+    return max(map(covering_level, by_world.values()))
+
+
+def covering_level(known: Sequence[float | None]) -> float:
+    """Compute the smallest level of credible sets, rounded up, that covers 90 % of these cases.
 
     Parameters
     ----------
@@ -183,9 +191,9 @@ def covering_level(known: Sequence[float | None]) -> float:
         Level above which the set of each case covers it; None where no single answer is correct.
     """
     levels = sorted(level for level in known if level is not None)
-    place = math.ceil(_COVERAGE * (len(levels) + 1)) - 1
-    if place >= len(levels):
-        return 1.0
+    if not levels:
+        return 0.0
+    place = math.ceil(_COVERAGE * len(levels)) - 1
     # Sets contain what lies below the level, so it is rounded up.
     return min(1.0, math.floor(100.0 * levels[place] + 1.0) / 100.0)
 

@@ -71,7 +71,8 @@ class DecisionConstants:
         Increase of the logarithm of the error that is left, relative to what is allowed, by which the odds of
         an unknown cause against none grow e-fold; they are even at the error that is allowed.
     set_level, family_level
-        Nominal probability of a credible set of effects, and of one of families, so that it covers 90 %.
+        Nominal probability of a credible set of effects, and of one of families, so that it covers 90 % of
+        the people of the world in which that takes the largest sets.
     adequacy_factor
         Factor on the repeatable error that null replicates leave, so that 95 % of people with nothing amiss
         leave less; see `wrapjax.diagnosis.gates.Adequate`.
