@@ -121,11 +121,12 @@ class Decision:
     probabilities
         Probabilities of the effects; None where they were not scored.
     credible_set
-        Smallest set of effects with 90 % probability; can contain ``none_of_these``.
+        Smallest set of effects with the probability `DecisionConstants.set_level`; can contain
+        ``none_of_these``.
     family
         Identifier of the family that is named; empty for none.
     credible_families
-        Smallest set of families with 90 % probability; can contain ``none_of_these``.
+        The same of families, with `DecisionConstants.family_level`.
     best_partial
         Effects that explain most where the outcome is ``unknown``, but not as a claim has to; not named.
     gates
