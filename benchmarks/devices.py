@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -107,8 +108,7 @@ def _measure(
         }
         evaluate = eqx.filter_jit(lambda posed: posed())
         for name, posed in surfaces.items():
-            there = on_device(device, posed)
-            calls[name] = lambda there=there: evaluate(there)  # type: ignore[misc]
+            calls[name] = partial(evaluate, on_device(device, posed))
         results = {name: calls[name]() for name in ("engine", "linearization", "together", *surfaces)}
         seconds = median_seconds(calls, _REPEATS)
     kind = device.platform

@@ -210,7 +210,7 @@ def test_an_effect_that_does_not_improve_held_out_cycles_is_not_named():
 
 
 def test_refused_evidence_is_limited_and_keeps_its_order():
-    """Of the strongest effects of people whose model is grossly wrong, none is more probable than none."""
+    """However large the evidence, no effect is more probable than no effect and an unknown cause together."""
     evidence = {"a": 74.0, "b": 28.0, "c": 6.0, "d": 0.02, "e": -0.7}
     limited = refused_evidence(evidence, 5.0)
     assert list(sorted(limited, key=lambda id: -limited[id])) == list(evidence)

@@ -138,19 +138,18 @@ def test_sets_of_families_are_for_the_cause_or_its_family():
     assert level("single", "a_mechanism_without_name") is None
 
 
-def test_a_level_covers_nine_of_ten_cases():
-    assert covering_level([0.1, None, 0.2, 0.3]) == pytest.approx(0.31)
+def test_a_level_without_enough_cases_is_one():
+    assert covering_level([0.1, None, 0.2, 0.3]) == 1.0
     assert covering_level([0.1] * 20 + [0.9]) == pytest.approx(0.11)
-    assert covering_level([None]) == 0.0
 
 
 def test_sets_cover_the_world_in_which_they_have_to_be_largest(cases):
     """In one world the correct effects have little evidence."""
     hard = [
         replace(one, truth={**one.truth, "world": "hard"}, evidence={id: -one.evidence[id] for id in EFFECTS})
-        for one in cases[:40]
+        for one in cases[:20]
     ]
-    easy = [replace(one, truth={**one.truth, "world": "easy"}) for one in cases[40:]]
+    easy = [replace(one, truth={**one.truth, "world": "easy"}) for one in cases[20:]]
     found = fit_constants([*hard, *easy], DecisionConstants.shipped())
     levels = [level for one in hard if (level := one.set_level(one.stated(found))) is not None]
     assert np.mean([level < found.set_level for level in levels]) >= 0.9

@@ -20,7 +20,7 @@ from wrapjax.diagnosis.decision import (
     decide_on_single_effect,
     family_levels,
     probabilities,
-    refused_evidence,
+    probabilities_of_refused,
     set_levels,
     tied_effects,
 )
@@ -283,8 +283,8 @@ def decision_on(case: ScoredCase, constants: DecisionConstants, ignored: Sequenc
     decision = apply_gates(decision, gates, decision.accepted or together)
     if not gates.failed:
         return decision
-    limited = replace(case, evidence=refused_evidence(case.evidence, constants.offset))
-    return replace(decision, probabilities=limited.stated_by_evidence(constants))
+    left = case.error_left(constants.adequacy_factor)
+    return replace(decision, probabilities=probabilities_of_refused(case.evidence, left, constants))
 
 
 def ranking(cases: Sequence[ScoredCase]) -> str:

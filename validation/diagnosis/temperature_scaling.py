@@ -172,18 +172,23 @@ def fit_constants(cases: Sequence[ScoredCase], constants: DecisionConstants) -> 
 
 
 def _covering_everywhere(cases: Sequence[ScoredCase], level: Callable[[ScoredCase], float | None]) -> float:
-    """Compute the level of credible sets that cover 90 % of the cases of every world.
+    """Compute the level of credible sets that cover a new case of these worlds, and 90 % of each world's.
 
     A new person belongs to none of these worlds, so that the world that needs most counts, not their mean.
     """
-    by_world: dict[str, list[float | None]] = {}
+    by_world: dict[str, list[float]] = {}
     for one in cases:
-        by_world.setdefault(one.truth.get("world", ""), []).append(level(one))
-    return max(map(covering_level, by_world.values()))
+        if (known := level(one)) is not None:
+            by_world.setdefault(one.truth.get("world", ""), []).append(known)
+    together = [known for own in by_world.values() for known in own]
+    each = [sorted(own)[math.ceil(_COVERAGE * len(own)) - 1] for own in by_world.values()]
+    return max(covering_level(together), *map(_rounded_up, each))
 
 
 def covering_level(known: Sequence[float | None]) -> float:
-    """Compute the smallest level of credible sets, rounded up, that covers 90 % of these cases.
+    """Compute the level of credible sets that cover a new case with 90 % probability (split conformal).
+
+    See Vovk et al. 2005 (doi:10.1007/b106715); cases are taken as exchangeable.
 
     Parameters
     ----------
@@ -191,11 +196,13 @@ def covering_level(known: Sequence[float | None]) -> float:
         Level above which the set of each case covers it; None where no single answer is correct.
     """
     levels = sorted(level for level in known if level is not None)
-    if not levels:
-        return 0.0
-    place = math.ceil(_COVERAGE * len(levels)) - 1
-    # Sets contain what lies below the level, so it is rounded up.
-    return min(1.0, math.floor(100.0 * levels[place] + 1.0) / 100.0)
+    place = math.ceil(_COVERAGE * (len(levels) + 1)) - 1
+    return 1.0 if place >= len(levels) else _rounded_up(levels[place])
+
+
+def _rounded_up(level: float) -> float:
+    """Round a level up, since sets contain what lies below it."""
+    return min(1.0, math.floor(100.0 * level + 1.0) / 100.0)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -15,8 +15,7 @@ from wrapjax.diagnosis.decision import (
     MIN_PROBABILITY,
     Decision,
     DecisionConstants,
-    probabilities,
-    refused_evidence,
+    probabilities_of_refused,
     tie_of_strongest,
     with_probabilities,
 )
@@ -77,8 +76,7 @@ def examine_claim(
     decision = apply_gates(decision, gates, decision.accepted or together)
     if not gates.failed:
         return decision
-    limited = refused_evidence(scores.evidence, constants.offset)
-    stated = probabilities(limited, plain.relative, constants)
+    stated = probabilities_of_refused(scores.evidence, plain.relative, constants)
     return with_probabilities(decision, stated, tie_of_strongest(scores), constants)
 
 

@@ -268,9 +268,9 @@ def refused_evidence(evidence: Mapping[str, float], offset: float) -> dict[str, 
     """Limit the evidence of effects where a gate refuses the claim, without a change of their order.
 
     Evidence compares an effect with a model that is right without it. Where the strongest effect is refused,
-    the model is wrong in another way, and evidence grows with what is wrong. It then says of no effect that
-    it is more probable than none: e > 0 becomes o (1 - exp(-e / o)), which is e for a small one and less than
-    ``offset`` o for any.
+    the model may be wrong in another way, and evidence grows with what is wrong. No effect is then to be more
+    probable than no effect and an unknown cause together: e > 0 becomes o (1 - exp(-e / o)), which is e for a
+    small one and less than ``offset`` o for any.
 
     Parameters
     ----------
@@ -281,6 +281,13 @@ def refused_evidence(evidence: Mapping[str, float], offset: float) -> dict[str, 
     """
     limit = max(offset, 1e-9)
     return {id: -limit * math.expm1(-one / limit) if one > 0.0 else one for id, one in evidence.items()}
+
+
+def probabilities_of_refused(
+    evidence: Mapping[str, float], error_left: float, constants: DecisionConstants
+) -> Probabilities:
+    """Compute probabilities where a gate refuses the claim; parameters as of `probabilities`."""
+    return probabilities(refused_evidence(evidence, constants.offset), error_left, constants)
 
 
 def tie_of_strongest(scores: Scores) -> tuple[str, ...]:

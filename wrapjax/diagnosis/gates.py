@@ -151,6 +151,11 @@ class Gates:
     specific: Specific | None = None
 
     @property
+    def of_claim(self) -> bool:
+        """Whether an effect was claimed, and not the plain model alone examined."""
+        return self.plausible is not None
+
+    @property
     def failed(self) -> tuple[str, ...]:
         """Names of the gates that are not passed."""
         return tuple(name for name, gate in vars(self).items() if gate is not None and not gate.passed)

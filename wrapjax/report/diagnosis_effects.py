@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.diagnosis.advice import Advice
-from wrapjax.diagnosis.gates import Gates
 from wrapjax.diagnosis.result import DiagnosisResult, EffectFinding
 from wrapjax.report import markup
 from wrapjax.report.cycle_panels import label_gait_cycles
@@ -41,8 +40,8 @@ from wrapjax.report.style import (
 DRAWN_COLORS = (BLUE, VERMILION, GREEN)
 # Added to the caption of the probabilities where a gate refuses the claim.
 _REFUSED = (
-    " Since a gate refuses the strongest effect, the model is wrong in another way, and no effect is given a "
-    "larger probability than none of them."
+    " Since a gate refuses the strongest effect, the model may be wrong in another way, and no effect is "
+    "given a larger probability than the last two rows together."
 )
 # Number of effects in the visible part of the table.
 _MOST_OPEN = 10
@@ -113,16 +112,11 @@ def half_interval(curves: Float[np.ndarray, "cycle frame"]) -> Float[np.ndarray,
     return stdtrit(count - 1, 0.975) * curves.std(axis=0, ddof=1) / math.sqrt(count)
 
 
-def is_refused(gates: Gates | None) -> bool:
-    """Return whether effects were claimed, and a gate refused the claim."""
-    return gates is not None and gates.plausible is not None and bool(gates.failed)
-
-
 def evidence_section(result: DiagnosisResult) -> str:
     """Write the report section on the evidence for each effect; empty if no effect was scored."""
     if not result.effects:
         return ""
-    shown = shown_effects(result)
+    shown, gates = shown_effects(result), result.gates
     rows = [_effect_row(effect) for effect in shown]
     names = {effect.id for effect in shown}
     others = [effect for effect in result.effects if effect.id not in names]
@@ -149,7 +143,8 @@ def evidence_section(result: DiagnosisResult) -> str:
         f"effect.{detection_threshold} Detectability: signal-to-noise ratio of an effect of expected size, "
         "in standard deviations; below 2, this recording could not show the effect. Effect sizes: most "
         "plausible value ± standard deviation. Ids in files have underscores instead of spaces; the last two "
-        "rows are none and unknown there." + (_REFUSED if is_refused(result.gates) else "")
+        "rows are none and unknown there."
+        + (_REFUSED if gates is not None and gates.of_claim and gates.failed else "")
     )
     parts = [markup.table(_HEADER, rows[:_MOST_OPEN] + rest, caption=caption)]
     if hidden := rows[_MOST_OPEN:]:

@@ -89,7 +89,7 @@ def gate_rows(result: DiagnosisResult) -> list[tuple[str, str, str, str]]:
     gates = result.gates
     if gates is None:
         return []
-    claim = "with the claimed effects" if gates.plausible is not None else "by the plain model"
+    claim = "with the claimed effects" if gates.of_claim else "by the plain model"
     adequate = gates.adequate
     rows = [
         (
