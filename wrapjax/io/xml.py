@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError
 
@@ -16,6 +17,11 @@ from wrapjax.io.files import read_content
 MAX_BYTES = 256 << 20
 #: Largest depth of nested elements. OpenSim's files have about 15; recursive functions have a limit.
 MAX_NESTING = 200
+#: Comments, and the two colons in the names of elements that OpenSim 3 wrote for a class within a class
+#: (``HuntCrossleyForce::ContactParametersSet``). OpenSim reads both where XML forbids them: the colons, and
+#: two hyphens within a comment.
+_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
+_NESTED_CLASS = re.compile(rb"(</?[A-Za-z_][\w.-]*)::(?=[A-Za-z_])")
 
 
 def read_xml(path: Path, root_tag: str) -> Element:
@@ -71,7 +77,7 @@ def parse_xml(content: bytes, path: Path) -> Element:
     root: Element | None = None
     level = 0
     try:
-        for event, element in iterparse(io.BytesIO(content), ("start", "end"), forbid_dtd=True):
+        for event, element in iterparse(io.BytesIO(_as_xml(content)), ("start", "end"), forbid_dtd=True):
             root = element if root is None else root
             level += 1 if event == "start" else -1
             if level > MAX_NESTING:
@@ -86,6 +92,12 @@ def parse_xml(content: bytes, path: Path) -> Element:
         raise InputError(Problem(str(path), f"is not well-formed XML ({error})")) from None
     assert root is not None  # a well-formed document has a root element
     return root
+
+
+def _as_xml(content: bytes) -> bytes:
+    """Leave out comments, and the colons that XML forbids in names; the numbers of lines stay."""
+    without_comments = _COMMENT.sub(lambda comment: b"\n" * comment[0].count(b"\n"), content)
+    return _NESTED_CLASS.sub(rb"\1.", without_comments)
 
 
 def _check_size(size: int, path: Path) -> None:
