@@ -2,12 +2,16 @@
 
 from dataclasses import fields
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from wrapjax.geometry.physiological import PhysiologicalThresholds, measure_paths
-from wrapjax.geometry.wrapping import Margins, WrappedPath
+from wrapjax.geometry.engine import surfaces_of
+from wrapjax.geometry.model_description import WrapObject
+from wrapjax.geometry.physiological import PhysiologicalThresholds, distance_from_bones, measure_paths
+from wrapjax.geometry.wrap_methods import kind_of
+from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, Margins, WrappedPath
 
 POSES, CYCLE = 60, slice(20, None)
 WAVE = np.sin(2.0 * np.pi * np.arange(POSES) / 40.0)
@@ -116,9 +120,105 @@ def test_new_contacts_are_counted_by_pose():
     np.testing.assert_allclose(measures.new_contact, [0.0, 1.0 / POSES, 0.0])
 
 
-@pytest.mark.parametrize("name", [field.name for field in fields(PhysiologicalThresholds)])
+#: Thresholds of paths; that of a wrap's distance from bones is tested with fits.
+OF_PATHS = sorted({field.name for field in fields(PhysiologicalThresholds)} - {"bone_distance"})
+
+
+@pytest.mark.parametrize("name", OF_PATHS)
 def test_each_threshold_can_be_set(name):
     measures = measure_paths(paths(3, changed_slightly), paths(1), CYCLE)
     assert measures.physiological().all()
     strict = PhysiologicalThresholds(**{name: 1.0 if name == "variability" else 0.0})
     np.testing.assert_array_equal(measures.physiological(strict), [True, False, True])
+
+
+# ---- Distance from bones
+
+TURNED, PLACE = (0.4, -0.2, 0.7), (0.01, -0.3, 0.02)
+WRAPS = {
+    kind: WrapObject("wrap", kind, "femur_l", PLACE, TURNED, *sizes[:2], "all", True, sizes[2])
+    for kind, sizes in {
+        "WrapCylinder": (0.03, 0.1, ()),
+        "WrapSphere": (0.03, None, ()),
+        "WrapEllipsoid": (None, None, (0.02, 0.03, 0.05)),
+        "WrapTorus": (None, None, (0.04, 0.01)),
+    }.items()
+}
+
+
+def surface_of(kind):
+    return jax.tree.map(lambda leaf: leaf[0], surfaces_of([WRAPS[kind]]))
+
+
+def points_of(kind):
+    """Points on the nominal surface at a spacing of about 0.5 mm, in the body's frame."""
+    turn, along = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 400), np.linspace(0.0, 1.0, 400))
+    if kind == "WrapCylinder":
+        # The side, and both ends, to which the distance is that of a solid.
+        side = (0.03 * np.cos(turn), 0.03 * np.sin(turn), 0.1 * (along - 0.5))
+        ends = [
+            (0.03 * along * np.cos(turn), 0.03 * along * np.sin(turn), 0 * turn + z) for z in (0.05, -0.05)
+        ]
+        own = np.concatenate([np.stack(part, axis=-1).reshape(-1, 3) for part in (side, *ends)])
+    elif kind == "WrapTorus":
+        tube = 2.0 * np.pi * along
+        ring = 0.04 + 0.01 * np.cos(tube)
+        own = np.stack([ring * np.cos(turn), ring * np.sin(turn), 0.01 * np.sin(tube)], axis=-1).reshape(
+            -1, 3
+        )
+    else:
+        sizes = np.array(WRAPS[kind].sizes or (0.03,) * 3)
+        up = np.pi * along
+        unit = np.stack([np.sin(up) * np.cos(turn), np.sin(up) * np.sin(turn), np.cos(up)], axis=-1)
+        own = (unit * sizes).reshape(-1, 3)
+    return np.asarray(surface_of(kind).center) + own @ np.asarray(surface_of(kind).rotation).T
+
+
+def distances(kind, bone, *parameters):
+    values = np.array([NOMINAL_PARAMETERS, *parameters])
+    name = kind_of(WRAPS[kind].kind, "hybrid")
+    return distance_from_bones(surface_of(kind), name, np.atleast_2d(bone), values)
+
+
+@pytest.mark.parametrize("kind", ["WrapCylinder", "WrapSphere", "WrapTorus"])
+def test_the_distance_is_that_of_the_nearest_point(kind):
+    """Against all points of the surface, for bones outside of it; zero for one inside."""
+    surface = points_of(kind)
+    bones = np.array(PLACE) + np.random.default_rng(0).uniform(-0.12, 0.12, (40, 3))
+    outside = 0
+    for bone in bones:
+        (found,) = distances(kind, bone)
+        if found > 0.0:
+            outside += 1
+            assert found == pytest.approx(np.linalg.norm(surface - bone, axis=1).min(), abs=1e-4)
+    assert outside > 25
+    middle = surfaces_of([WRAPS[kind]])
+    inside = (
+        np.asarray(middle.center)[0]
+        + (0.04 if kind == "WrapTorus" else 0.01) * np.asarray(middle.rotation)[0, :, 0]
+    )
+    assert distances(kind, np.stack([inside, bones[0]])) == 0.0
+
+
+def test_an_ellipsoids_distance_is_never_smaller_than_the_true_one():
+    """It is measured towards the center, so that it is exact on the axes."""
+    surface, frame = points_of("WrapEllipsoid"), surface_of("WrapEllipsoid")
+    for bone in np.array(PLACE) + np.random.default_rng(1).uniform(-0.12, 0.12, (20, 3)):
+        (found,) = distances("WrapEllipsoid", bone)
+        assert found == 0.0 or found > np.linalg.norm(surface - bone, axis=1).min() - 1e-4
+    for axis, size in enumerate((0.02, 0.03, 0.05)):
+        bone = np.asarray(frame.center) + (size + 0.007) * np.asarray(frame.rotation)[:, axis]
+        assert distances("WrapEllipsoid", bone) == pytest.approx(0.007, abs=1e-12)
+
+
+@pytest.mark.parametrize("kind", list(WRAPS))
+def test_the_distance_follows_the_wrap(kind):
+    """A wrap that is translated along its own x-axis away from a bone on it, or shrunk."""
+    frame = surface_of(kind)
+    farthest = {"WrapTorus": 0.05, "WrapEllipsoid": 0.02}.get(kind, 0.03)
+    bone = np.asarray(frame.center) + (farthest + 0.002) * np.asarray(frame.rotation)[:, 0]
+    away, smaller = NOMINAL_PARAMETERS.copy(), NOMINAL_PARAMETERS.copy()
+    away[0] -= 0.005
+    smaller[5] = 0.9
+    found = distances(kind, bone, away, smaller)
+    np.testing.assert_allclose(found, [0.002, 0.007, 0.002 + 0.1 * farthest], atol=1e-12)

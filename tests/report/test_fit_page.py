@@ -101,8 +101,8 @@ def test_page_is_valid_self_contained_and_states_methods(content, subject):
     html = render_fit(content, subject, [sampled_path()] if content["wraps"] else [])
     page = Page(html)
     headings = re.findall(r"<h2>(.*?)</h2>", html)
-    cylinders = ["Cylinders", "Accepted and rejected paths"] if content["wraps"] else []
-    assert headings == ["Errors by muscle", *cylinders, "Methods"]
+    surfaces = ["Wrapping surfaces", "Accepted and rejected paths"] if content["wraps"] else []
+    assert headings == ["Errors by muscle", *surfaces, "Methods"]
     assert not page.all("script") + page.all("link")
     assert all(image["src"].startswith("data:image/svg+xml") for image in page.all("img"))
     assert "http://" not in html and "https://" not in html
@@ -112,7 +112,7 @@ def test_page_is_valid_self_contained_and_states_methods(content, subject):
 
 def test_page_shows_cylinders():
     text = Page(render_fit(SAMPLED, None, [sampled_path()])).text
-    assert "2 cylinders were sampled for PGA; muscles touch 1 of them" in text
+    assert "2 wrapping surfaces were sampled for PGA; muscles touch 1 of them" in text
     assert re.search(r"brim psoas_l yes 7\.5 60\.0 90\.0 2\.0 85\.0 2\.0", text)
     # Nearly all placements are physiological, so the accuracy of the limit cannot be assessed.
     assert re.search(r"pelvis glmax1_l no 7\.5 99\.0( \N{EN DASH}){4}", text)

@@ -35,7 +35,7 @@ READING = (
         "wrapjax.calibration.solvers.checkpoints",
         "wrapjax.report.overview",
     ),
-    *("wrapjax.report.evaluation_page", "wrapjax.report.cohort_page", "wrapjax.report.model_view.bones"),
+    *("wrapjax.report.evaluation_page", "wrapjax.report.cohort_page", "wrapjax.osim.bones"),
 )
 
 
@@ -154,7 +154,7 @@ def _loads(path: Path) -> None:
 
 
 def _bone(path: Path) -> None:
-    from wrapjax.report.model_view.bones import read_vtp
+    from wrapjax.osim.bones import read_vtp
 
     vertices, triangles = read_vtp(path)
     _finite(vertices)

@@ -219,7 +219,7 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         "--surfaces",
         choices=["touched", "all"],
         default="touched",
-        help="wrapping cylinders that PGA changes: touched, those that a muscle touches in a recorded frame "
+        help="wrapping surfaces that PGA changes: touched, those that a muscle touches in a recorded frame "
         "(default); all",
     )
     calibrate.add_argument("--curves", choices=["paper", "opensim"], default="paper", help=CURVES_HELP)
@@ -298,7 +298,9 @@ def run(options: argparse.Namespace) -> int:
             Problem("--draws", "expected at least 2, found 1: one draw has no standard deviation")
         )
     if options.surfaces != "touched" and options.method != "PGA":
-        raise InputError(Problem("--surfaces", "is for --method PGA: the other methods change no cylinders"))
+        raise InputError(
+            Problem("--surfaces", "is for --method PGA: the other methods change no wrapping surfaces")
+        )
     if options.leave_tasks_out and options.uncertainty:
         raise InputError(Problem("--leave-tasks-out", "cannot be combined with --uncertainty"))
     checkpoints = checkpoint_folder(options)

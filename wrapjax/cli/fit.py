@@ -1,4 +1,4 @@
-"""Command ``wrapjax fit``, with tables of the fit's errors by muscle and by wrapping cylinder."""
+"""Command ``wrapjax fit``, with tables of the fit's errors by muscle and by wrapping surface."""
 
 from __future__ import annotations
 
@@ -37,14 +37,13 @@ def fit_table(fit: Fit) -> str:
 
 
 def wrap_table(wraps: WrapFit) -> str:
-    """Tabulate bounds and feasibility of the wrapping cylinders, one line per cylinder."""
+    """Tabulate bounds and feasibility of the wrapping surfaces, one line per surface."""
     titles = ("half width", "physiological", "accuracy", "false positive", "touched")
     lines = [
-        "Wrapping cylinders, on samples not used in fitting: half width of the translation bounds (mm), "
-        "share",
+        "Wrapping surfaces, on samples not used in fitting: half width of the translation bounds (mm), share",
         "of samples with physiological paths, balanced accuracy of the feasibility score, share of the other",
         "samples that it accepts (false positive), and whether a muscle touches it in a recorded frame",
-        f"{'cylinder':24s}" + "".join(f"{title:>15s}" for title in titles),
+        f"{'surface':24s}" + "".join(f"{title:>15s}" for title in titles),
     ]
     for name, quality in wraps.quality.items():
         shares = (quality.physiological_share, quality.balanced_accuracy, quality.false_physiological)
@@ -65,6 +64,8 @@ THRESHOLDS = {
     "0.003)",
     "new_contact": "share of the poses in which a path touches a surface that the nominal path never "
     "touches, above 0 (default: 1)",
+    "bone_distance": "increase of a surface's distance from the bones of its body, with --bones, m (default: "
+    "0.005)",
 }
 
 
@@ -81,8 +82,14 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         "engine; engine-parity, the exact engine with OpenSim's wrapping",
     )
     add_undriven_options(fit)
+    fit.add_argument(
+        "--bones",
+        type=Path,
+        metavar="DIR",
+        help="folder of the bones' surfaces, .vtp, near which wrapping surfaces have to stay",
+    )
     limits = fit.add_argument_group(
-        "limits of physiological paths, as differences from those round the nominal cylinders"
+        "limits of physiological paths, as differences from those round the nominal surfaces"
     )
     for name, what in THRESHOLDS.items():
         limits.add_argument(f"--{name.replace('_', '-')}", type=positive_number, metavar="X", help=what)
@@ -103,7 +110,13 @@ def run(options: argparse.Namespace) -> int:
     settings = {"processes": options.threads, "quiet": options.quiet}
     thresholds = {name: value for name in THRESHOLDS if (value := getattr(options, name)) is not None}
     fitted = fit(subject, options.geometry, seed=options.seed, **settings)
-    result = fit_wraps(subject, fitted, thresholds=PhysiologicalThresholds(**thresholds), **settings)
+    result = fit_wraps(
+        subject,
+        fitted,
+        thresholds=PhysiologicalThresholds(**thresholds),
+        bone_folders=() if options.bones is None else (options.bones,),
+        **settings,
+    )
     print_progress("drawing the report", quiet=options.quiet)
     result.save(options.out, subject=subject, force=options.force, motion=True)
 

@@ -3,17 +3,21 @@
 Ao, Fregly et al. name three criteria: deviation, variability and smoothness. Their definitions (Table S6) are
 not public; those used here are our own. Two criteria are added that need the exact engine: a path must have
 no discontinuity of length that the nominal path does not have, and must touch every wrap that the nominal
-path touches.
+path touches. Where surfaces of bones are given, a wrap must also stay near the bones of its body.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
-from wrapjax.geometry.wrapping import WrappedPath
+from wrapjax.geometry.vectors import safe_sqrt, vector
+from wrapjax.geometry.wrap_methods import CYLINDER, clearance
+from wrapjax.geometry.wrapping import Surface, WrappedPath
 
 # Added (m) to both standard deviations of a ratio, because the ratio of two very small ones is meaningless.
 _DEVIATION_OFFSET = 1e-3
@@ -41,6 +45,9 @@ class PhysiologicalThresholds:
     new_contact
         Share of the poses in which a path touches a wrap that the nominal path touches in no pose; by default
         paths may begin to touch any wrap of theirs.
+    bone_distance
+        Increase of a wrap's distance from the nearest bone of its body over that of the nominal wrap, m; it
+        counts where surfaces of bones are given, see `distance_from_bones`.
     """
 
     length_deviation: float = 0.025
@@ -49,6 +56,7 @@ class PhysiologicalThresholds:
     length_step: float = 0.001
     moment_arm_step: float = 0.003
     new_contact: float = 1.0
+    bone_distance: float = 0.005
 
 
 DEFAULT_THRESHOLDS = PhysiologicalThresholds()
@@ -82,7 +90,10 @@ class PathMeasures:
         self, thresholds: PhysiologicalThresholds = DEFAULT_THRESHOLDS
     ) -> dict[str, Bool[np.ndarray, " sample"]]:
         """Identify the samples that fail each criterion, by the criterion's name."""
-        limited = {name: getattr(self, name) > limit for name, limit in vars(thresholds).items()}
+        measured = {field.name for field in fields(self)}
+        limited = {
+            name: getattr(self, name) > limit for name, limit in vars(thresholds).items() if name in measured
+        }
         return {"jumps": self.jumps, "never_touches": self.never_touches, **limited}
 
     def physiological(
@@ -127,6 +138,45 @@ def measure_paths(found: WrappedPath, nominal: WrappedPath, cycle: slice) -> Pat
         jumps=jumps,
         never_touches=np.any(np.any(nominal_touching, axis=1) & ~np.any(touching, axis=1), axis=1),
     )
+
+
+def distance_from_bones(
+    wrap: Surface,
+    kind: str,
+    bones: Float[np.ndarray, "vertex 3"],
+    parameters: Float[np.ndarray, "sample wrap_parameter"],
+) -> Float[np.ndarray, " sample"]:
+    """Compute the distance between a displaced wrap surface and the nearest vertex of a bone.
+
+    Parameters
+    ----------
+    wrap
+        Nominal surface, without further axes.
+    kind
+        Its kind; see `wrapjax.geometry.wrap_methods.kind_of`.
+    bones
+        Vertices of the bones of the body that carries the surface, in that body's frame, m.
+    parameters
+        Samples of the wrap parameters.
+
+    Returns
+    -------
+    distance
+        m; zero where a vertex is inside the surface. That of a cylinder is to the part between its ends; that
+        of an ellipsoid is measured towards its center.
+    """
+    points = vector(jnp.asarray(bones))
+
+    def nearest(sample: Float[Array, " wrap_parameter"]) -> Float[Array, ""]:
+        surface = wrap.placed(sample)
+        own = surface.to_surface_frame(points)
+        outside = jnp.maximum(clearance(own, surface, kind), 0.0)
+        if kind == CYLINDER:
+            beyond_end = jnp.maximum(jnp.abs(own.z) - surface.half_length, 0.0)
+            outside = safe_sqrt(outside**2 + beyond_end**2)
+        return outside.min()
+
+    return np.asarray(jax.jit(lambda samples: jax.lax.map(nearest, samples))(jnp.asarray(parameters)))
 
 
 def _steps(values: Float[np.ndarray, "sample frame *coordinate"]) -> Float[np.ndarray, "..."]:

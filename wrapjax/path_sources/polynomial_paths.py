@@ -57,6 +57,9 @@ class WrapQuality:
         true class in other poses.
     learned_balanced_accuracy, learned_false_physiological
         Accuracy of the classifier alone.
+    near_bone_share
+        Share of the samples that stay near the bones of the wrap's body; None where no bone's surface was
+        given.
     """
 
     physiological_share: float
@@ -64,6 +67,7 @@ class WrapQuality:
     false_physiological: float | None
     learned_balanced_accuracy: float | None = None
     learned_false_physiological: float | None = None
+    near_bone_share: float | None = None
 
 
 @dataclass(frozen=True)

@@ -3,24 +3,41 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from wrapjax.geometry.engine import GEODESIC, ExactPaths, PosedPath, nominal_parameters, wrap_at_samples
+from wrapjax.errors import InputError, Problem
+from wrapjax.geometry.engine import (
+    GEODESIC,
+    ExactPaths,
+    PosedPath,
+    nominal_parameters,
+    surfaces_of,
+    wrap_at_samples,
+)
 from wrapjax.geometry.feasibility import Feasibility, feasibility_quality, fit_feasibility
-from wrapjax.geometry.physiological import DEFAULT_THRESHOLDS, PhysiologicalThresholds, measure_paths
+from wrapjax.geometry.model_description import WrapObject
+from wrapjax.geometry.physiological import (
+    DEFAULT_THRESHOLDS,
+    PhysiologicalThresholds,
+    distance_from_bones,
+    measure_paths,
+)
 from wrapjax.geometry.surrogate import PathSurrogate
 from wrapjax.geometry.training_samples import SamplePlan, SampleSet, plan_samples
 from wrapjax.geometry.two_level import InnerLevel, fit_inner_level, wrap_exponents
 from wrapjax.geometry.wrap_bounds import translation_bounds, usable_for_all_muscles
+from wrapjax.geometry.wrap_methods import kind_of
 from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, WRAP_PARAMETERS, WrappedPath
 from wrapjax.io.store import Store, fingerprint
 from wrapjax.jax_setup import require_float64
+from wrapjax.osim.bones import attached_meshes, find_bones
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.exact import WRAPPINGS
 from wrapjax.path_sources.path_samples import (
@@ -205,6 +222,7 @@ def fit_wraps(
     fit: Fit,
     *,
     thresholds: PhysiologicalThresholds = DEFAULT_THRESHOLDS,
+    bone_folders: Sequence[Path] = (),
     processes: int | None = None,
     quiet: bool = True,
 ) -> Fit:
@@ -224,6 +242,9 @@ def fit_wraps(
         are always those of the exact engine.
     thresholds
         Definition of physiological paths.
+    bone_folders
+        Folders with the surfaces of bones (``.vtp``) that the model names. Where they are given, feasible
+        wraps are near the bones of their body, too. Bones without a file do not count.
     processes
         Number of worker processes for OpenSim and of threads for scikit-learn; by default one per core or
         more.
@@ -240,7 +261,8 @@ def fit_wraps(
     Raises
     ------
     InputError
-        If a muscle's path has an element that the exact engine does not support.
+        If a muscle's path has an element that the exact engine does not support; or if folders of bones are
+        given that have none of the model's wrapped bodies, or a damaged one.
 
     Examples
     --------
@@ -248,16 +270,23 @@ def fit_wraps(
     >>> calibrate(subject, "PGA", fitted)  # doctest: +SKIP
     """
     require_float64()
-    store, name = Store.of_user("fit_wraps"), fingerprint(fit.key, repr(thresholds), module=__name__)
+    bones = _bones_of_bodies(subject.model_file, bone_folders) if bone_folders else {}
+    store = Store.of_user("fit_wraps")
+    name = fingerprint(fit.key, repr(thresholds), *bones, *bones.values(), module=__name__)
     if (known := store.read(name, read_fit)) is not None:
         return known
-    result = _fit_wraps(subject, fit, thresholds, processes, quiet)
+    result = _fit_wraps(subject, fit, thresholds, bones, processes, quiet)
     result.write_to_cache(store.place(name))
     return result
 
 
 def _fit_wraps(
-    subject: Subject, fit: Fit, thresholds: PhysiologicalThresholds, processes: int | None, quiet: bool
+    subject: Subject,
+    fit: Fit,
+    thresholds: PhysiologicalThresholds,
+    bones: Mapping[str, Float[np.ndarray, "vertex 3"]],
+    processes: int | None,
+    quiet: bool,
 ) -> Fit:
     started = time.perf_counter()
     model, surrogate = describe_model(subject.model_file), fit.surrogate
@@ -274,8 +303,8 @@ def _fit_wraps(
         if touches
     }
     print_progress(f"determining bounds of {len(wraps)} wraps", quiet=quiet)
-    near = engine.posed(poses.recorded[::_FRAME_STEP])
-    translations = translation_bounds(engine, near, wraps)
+    coarse = engine.posed(poses.recorded[::_FRAME_STEP])
+    translations = translation_bounds(engine, coarse, wraps)
     boxed = time.perf_counter()
     training, validation = plan_samples(
         wraps_of, translations, fit.seed, engine.wrap_classes, engine.parameters
@@ -299,7 +328,20 @@ def _fit_wraps(
         users = [fitted[name].labels[wrap] for name, own in wraps_of.items() if wrap in own]
         training_labels, validation_labels = (np.all(labels, axis=0) for labels in zip(*users, strict=True))
         samples, others = (plan.together.moved[wrap] for plan in (training, validation))
-        usable, others_usable = (usable_for_all_muscles(engine, near, wrap, own) for own in (samples, others))
+        near_bone_share = None
+        if (vertices := bones.get(model.wrap(wrap).body)) is not None:
+            near_bone, others_near_bone = (
+                _near_bones(model.wrap(wrap), vertices, own, thresholds.bone_distance)
+                for own in (samples, others)
+            )
+            training_labels, validation_labels = (
+                training_labels & near_bone,
+                validation_labels & others_near_bone,
+            )
+            near_bone_share = float(others_near_bone.mean())
+        usable, others_usable = (
+            usable_for_all_muscles(engine, coarse, wrap, own) for own in (samples, others)
+        )
         feasibility[wrap] = fit_feasibility(
             samples, training_labels, *training.boxes[wrap], usable=usable, seed=fit.seed, threads=processes
         )
@@ -310,6 +352,7 @@ def _fit_wraps(
             **vars(combined),
             learned_balanced_accuracy=alone.balanced_accuracy,
             learned_false_physiological=alone.false_physiological,
+            near_bone_share=near_bone_share,
         )
     return replace(
         fit,
@@ -332,6 +375,35 @@ def _fit_wraps(
             "feasibility": time.perf_counter() - sampled,
         },
     )
+
+
+def _bones_of_bodies(model_file: Path, folders: Sequence[Path]) -> dict[str, Float[np.ndarray, "vertex 3"]]:
+    """Read the bones of the bodies that carry wraps: by body, all vertices in its frame, m."""
+    carriers = {wrap.body for wrap in describe_model(model_file).wraps}
+    meshes = [mesh for mesh in attached_meshes(model_file) if mesh.body in carriers]
+    bones, missing = find_bones(meshes, folders)
+    if not bones:
+        named = f"none of {', '.join(missing)}" if missing else "the model names no bone of a body with wraps"
+        places = ", ".join(map(str, folders))
+        raise InputError(Problem(places, f"expected surfaces of bones (.vtp), found {named}"))
+    return {
+        body: np.concatenate([bone.vertices for bone in bones if bone.body == body])
+        for body in sorted({bone.body for bone in bones})
+    }
+
+
+def _near_bones(
+    wrap: WrapObject,
+    bones: Float[np.ndarray, "vertex 3"],
+    samples: Float[np.ndarray, "sample wrap_parameter"],
+    farther: float,
+) -> Labels:
+    """Identify samples of a wrap that are no farther (m) from the bones than the nominal wrap."""
+    nominal = NOMINAL_PARAMETERS[None, : samples.shape[1]]
+    surface = jax.tree.map(lambda leaf: leaf[0], surfaces_of([wrap]))
+    kind = kind_of(wrap.kind, "hybrid")
+    distance = distance_from_bones(surface, kind, bones, np.concatenate([nominal, samples]))
+    return distance[1:] - distance[0] <= farther
 
 
 def _touched_wraps(posed: PosedPath) -> Bool[np.ndarray, " wrap"]:

@@ -11,9 +11,9 @@ import numpy as np
 from wrapjax.report import markup
 from wrapjax.report.fit_wraps import (
     SampledPath,
-    cylinder_findings,
-    cylinders_section,
     sampled_paths_section,
+    surface_findings,
+    surfaces_section,
 )
 from wrapjax.report.formatting import DASH, counted
 from wrapjax.report.provenance import versions_platform_and_time
@@ -33,7 +33,7 @@ from wrapjax.report.style import (
 from wrapjax.subject.subject import Subject
 
 #: Usual upper limits of the root mean square errors of length and moment arm (mm) of a leg's polynomials,
-#: including displaced cylinders.
+#: including displaced wrapping surfaces.
 USUAL_MM = {"length": 0.4, "moment_arm": 0.8}
 
 _QUANTITIES = {"length": "length", "moment_arm": "moment arm"}
@@ -94,7 +94,7 @@ def _median_and_worst(muscles: dict[str, Any], names: list[str]) -> str:
 def _test_samples(content: dict[str, Any]) -> str:
     """Write on which samples errors were computed."""
     if content["wraps"]:
-        return "in poses and at placements of cylinders that were held out from fitting"
+        return "in poses and at placements of wrapping surfaces that were held out from fitting"
     return "in poses that were held out from fitting"
 
 
@@ -135,9 +135,10 @@ def errors_section(content: dict[str, Any]) -> str:
             rows,
             caption="Errors in mm, root mean square and largest, and the number of terms of each polynomial. "
             + (
-                "Errors of muscles with cylinders are over placements at which their paths are physiological."
+                "Errors of muscles with wrapping surfaces are over placements at which their paths are "
+                "physiological."
                 if content["wraps"]
-                else "Cylinders are at their nominal placement."
+                else "Wrapping surfaces are at their nominal placement."
             ),
         ),
     )
@@ -187,8 +188,8 @@ _STAGES = {
     "analysis": "computing muscle paths in all poses",
     "fit": "fitting polynomials",
     "contact": "determining which muscles touch a surface",
-    "boxes": "determining bounds of cylinders",
-    "sampling": "sampling placements of cylinders",
+    "boxes": "determining bounds of wrapping surfaces",
+    "sampling": "sampling placements of wrapping surfaces",
     "feasibility": "fitting feasibility limits",
 }
 
@@ -226,10 +227,10 @@ def render_fit(
             markup.header(title, under),
             link,
             markup.verdict(
-                [*error_findings(content), *cylinder_findings(content)], fine=not unusual_muscles(content)
+                [*error_findings(content), *surface_findings(content)], fine=not unusual_muscles(content)
             ),
             errors_section(content),
-            cylinders_section(content),
+            surfaces_section(content),
             sampled_paths_section(content, paths),
             _methods_section(content, subject),
         ],

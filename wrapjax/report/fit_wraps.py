@@ -1,4 +1,4 @@
-"""Report sections of a fit on cylinders: bounds, feasibility limits, accepted and rejected muscle paths."""
+"""Report sections of a fit on wrapping surfaces: bounds, feasibility limits, accepted and rejected paths."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _COLORS = {
 
 @dataclass(frozen=True)
 class SampledPath:
-    """A muscle's path at sampled placements of its cylinders, over one recorded cycle.
+    """A muscle's path at sampled placements of its surfaces, over one recorded cycle.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def _add_legend(figure: Figure, muscle: str, faults: Mapping[str, Bool[np.ndarra
 
 #: Number of accepted and of rejected samples that a page shows, so that its size stays a few megabytes.
 _MOST_CURVES = 8
-#: Title and factor of each column that is drawn for a cylinder, by key of ``fit.json``.
+#: Title and factor of each column that is drawn for a surface, by key of ``fit.json``.
 _COLUMNS = {
     "translation_m": ("bound of translation, ± (mm)", 1e3),
     "physiological_share": ("physiological (% of box)", 1e2),
@@ -169,10 +169,11 @@ _THRESHOLDS = {
         "the difference of a moment arm from nominal changes by more between frames",
     ),
     "new_contact": ("% of poses", 100.0, "it touches in more of them a wrap that nominal touches in none"),
+    "bone_distance": ("mm", 1e3, "a surface is farther from the bones of its body than nominal by more"),
 }
 
 
-def cylinder_findings(content: dict[str, Any]) -> list[str]:
+def surface_findings(content: dict[str, Any]) -> list[str]:
     """Write a sentence on the accuracy of the feasibility limits; empty if no placements were sampled."""
     wraps = content["wraps"]
     if not wraps:
@@ -184,8 +185,8 @@ def cylinder_findings(content: dict[str, Any]) -> list[str]:
         if wrap["balanced_accuracy"] is not None
     }
     sentence = (
-        f"{counted(len(wraps), 'cylinder')} {'was' if len(wraps) == 1 else 'were'} sampled for PGA; muscles "
-        f"touch {len(touched)} of them in the recorded cycles"
+        f"{counted(len(wraps), 'wrapping surface')} {'was' if len(wraps) == 1 else 'were'} sampled for PGA; "
+        f"muscles touch {len(touched)} of them in the recorded cycles"
     )
     if not accuracy:
         return [f"{sentence}."]
@@ -198,8 +199,8 @@ def cylinder_findings(content: dict[str, Any]) -> list[str]:
     ]
 
 
-def cylinders_section(content: dict[str, Any]) -> str:
-    """Write the report section on cylinders; empty if none were sampled."""
+def surfaces_section(content: dict[str, Any]) -> str:
+    """Write the report section on surfaces; empty if none were sampled."""
     wraps = content["wraps"]
     if not wraps:
         return ""
@@ -207,16 +208,17 @@ def cylinders_section(content: dict[str, Any]) -> str:
         1e3 * width for width in (NARROWER_TRANSLATIONS[0], NARROWER_TRANSLATIONS[-1], WIDER_TRANSLATIONS[-1])
     )
     return markup.section(
-        "Cylinders",
+        "Wrapping surfaces",
         markup.paragraph(
-            "PGA may translate, rotate and scale a cylinder within a box of bounds, and within it only where "
-            "limits predict that the paths of its muscles are physiological. These limits are a feasibility "
-            "score, fitted to samples, and geometric margins computed by the exact engine. Their accuracy is "
+            "PGA may translate, rotate and scale a wrapping surface within a box of bounds, and within it "
+            "only where limits predict that the paths of its muscles are physiological. These limits are a "
+            "feasibility score, fitted to samples, and geometric margins computed by the exact engine. Their "
+            "accuracy is "
             "given for placements that were held out from fitting."
         ),
         markup.picture(
-            cylinder_figure(content),
-            alternative=f"Bounds, physiological share and accuracy of the limits of {len(wraps)} cylinders.",
+            surface_figure(content),
+            alternative=f"Bounds, physiological share and accuracy of the limits of {len(wraps)} surfaces.",
             caption=f"Bound of translation: largest translation along each axis, {usual:g} mm, but less "
             f"(down to {narrowest:g} mm) where paths jump or lose contact in over "
             f"{100.0 * (1.0 - MIN_USABLE_SHARE):g} % of placements, and more (up to {widest:g} mm) where in "
@@ -227,20 +229,21 @@ def cylinders_section(content: dict[str, Any]) -> str:
         ),
         markup.table(
             (
-                *("cylinder", "muscles", "touched"),
+                *("surface", "muscles", "touched"),
                 *(title for title, _ in _COLUMNS.values()),
                 *_SCORE_ALONE.values(),
+                *(("near a bone (% of box)",) if _has_bones(content) else ()),
             ),
-            [_cylinder_row(content, name) for name in _touched_first(content)],
-            caption="The same numbers. Touched: a muscle touches the cylinder in the recorded cycles. PGA "
-            "holds the other cylinders fixed, and those with physiological paths in less than "
+            [_surface_row(content, name) for name in _touched_first(content)],
+            caption="The same numbers. Touched: a muscle touches the surface in the recorded cycles. PGA "
+            "holds the other surfaces fixed, and those with physiological paths in less than "
             f"{100.0 * MIN_CLASS_SHARE:g} % of their box. A dash: less than {100.0 * MIN_CLASS_SHARE:g} % "
             "of placements belong to one class, too few to assess the limits.",
         ),
     )
 
 
-def _cylinder_row(content: dict[str, Any], name: str) -> tuple[str, ...]:
+def _surface_row(content: dict[str, Any], name: str) -> tuple[str, ...]:
     wrap = content["wraps"][name]
     muscles = [muscle for muscle, wraps in content["wraps_of"].items() if name in wraps]
     return (
@@ -248,11 +251,21 @@ def _cylinder_row(content: dict[str, Any], name: str) -> tuple[str, ...]:
         ", ".join(muscles),
         "yes" if wrap["touched"] else "no",
         *(DASH if value is None else f"{factor * value:.1f}" for value, factor in _table_values(wrap)),
+        *((_percent(wrap["near_bone_share"]),) if _has_bones(content) else ()),
     )
 
 
+def _has_bones(content: dict[str, Any]) -> bool:
+    """Whether surfaces had to stay near bones; not so in earlier fits."""
+    return any(wrap.get("near_bone_share") is not None for wrap in content["wraps"].values())
+
+
+def _percent(share: float | None) -> str:
+    return DASH if share is None else f"{100.0 * share:.1f}"
+
+
 def _table_values(wrap: dict[str, Any]) -> Iterator[tuple[float | None, float]]:
-    """Iterate over a cylinder's values in the table, with their factors."""
+    """Iterate over a surface's values in the table, with their factors."""
     factors = [factor for _, factor in _COLUMNS.values()]
     yield from zip(_drawn_values(wrap), factors, strict=True)
     assessed = wrap["balanced_accuracy"] is not None
@@ -261,7 +274,7 @@ def _table_values(wrap: dict[str, Any]) -> Iterator[tuple[float | None, float]]:
 
 
 def _drawn_values(wrap: dict[str, Any]) -> list[float | None]:
-    """Collect a cylinder's values in the figure; no false acceptance where the limits cannot be assessed."""
+    """Collect a surface's values in the figure; no false acceptance where the limits cannot be assessed."""
     assessed = wrap["balanced_accuracy"] is not None
     return [wrap[key] if assessed or key != "false_physiological" else None for key in _COLUMNS]
 
@@ -272,8 +285,8 @@ def _touched_first(content: dict[str, Any]) -> list[str]:
 
 
 @in_style
-def cylinder_figure(content: dict[str, Any]) -> Figure:
-    """Draw bounds, physiological share and accuracy of the limits, one row a cylinder."""
+def surface_figure(content: dict[str, Any]) -> Figure:
+    """Draw bounds, physiological share and accuracy of the limits, one row a surface."""
     order = _touched_first(content)
     rows = np.arange(len(order))
     touched = np.array([content["wraps"][name]["touched"] for name in order])
@@ -322,21 +335,21 @@ def sampled_paths_section(content: dict[str, Any], paths: Iterable[SampledPath])
         (
             "jumps",
             DASH,
-            "it enters a cylinder, slips off its end or wraps over more than half of it, unlike the nominal "
+            "it enters a surface, slips off its end or wraps over more than half of it, unlike the nominal "
             "path",
         ),
-        ("never touches", DASH, "it touches in no pose a cylinder that the nominal path touches"),
+        ("never touches", DASH, "it touches in no pose a surface that the nominal path touches"),
     ]
     rows += [
         (readable(name), f"{factor * content['thresholds'][name]:g} {unit}", words)
         for name, (unit, factor, words) in _THRESHOLDS.items()
-        # Earlier fits lack some.
-        if name in content["thresholds"]
+        # Earlier fits lack some, and not every fit has bones.
+        if name in content["thresholds"] and (name != "bone_distance" or _has_bones(content))
     ]
     return markup.section(
         "Accepted and rejected paths",
         markup.paragraph(
-            "Each line is one placement of the muscle's cylinders over one recorded cycle; black is the "
+            "Each line is one placement of the muscle's surfaces over one recorded cycle; black is the "
             "nominal placement. Blue lines should be physiologically plausible and the others should not. If "
             "they are not, change the thresholds: wrapjax fit has an option for each. In Python "
             "wrapjax.physiological_picture(subject, fit, muscle, thresholds) draws a picture "
@@ -360,7 +373,7 @@ def _picture(content: dict[str, Any], path: SampledPath) -> str:
         markup.picture(
             physiological_figure(path, _MOST_CURVES),
             alternative=f"Length and moment arms of {path.muscle} over the gait cycle at accepted and at "
-            f"rejected placements of its cylinders: {share}.",
+            f"rejected placements of its surfaces: {share}.",
             caption=f"{path.muscle}: accepted placements above, rejected placements below, colored by the "
             f"first criterion that they fail. At most {_MOST_CURVES} of each are drawn; the numbers count "
             "all placements, and those that fail several criteria are counted for each criterion.",

@@ -113,7 +113,7 @@ def calibration_dataset(result: CalibrationResult) -> Dataset:
     -------
     Dataset
         SI units, stated in ``attrs`` of each variable. Forces are along the tendon, in N; moments in N m,
-        with the signs of the model's coordinates. If cylinders were free, their parameters by ``wrap``; if
+        with the signs of the model's coordinates. If wraps were free, their parameters by ``wrap``; if
         synergies drove muscles, ``synergy_weight`` by ``extrapolated_excitation`` and ``command``.
     """
     states = result.states

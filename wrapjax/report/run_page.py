@@ -184,7 +184,7 @@ DescribeModel = Callable[[Path], "ModelDescription"]
 #: `wrapjax.calibration.calibration.write_calibrated_model`.
 WriteModel = Callable[[Subject, CalibrationResult, Path], None]
 
-#: OpenSim model of a leg with calibrated cylinders.
+#: OpenSim model of a leg with calibrated wrapping surfaces.
 PERSONALISED_MODEL = "model_personalized.osim"
 
 #: Calibrated polynomials of muscle paths: `PathSurrogate.arrays`.
@@ -216,9 +216,9 @@ def write_run(
     force
         Whether to replace an existing folder.
     describe_model
-        Function that reads a model file, to show calibrated cylinders; without it they are not shown.
+        Function that reads a model file, to show calibrated wrapping surfaces; without it they are not shown.
     write_calibrated_model
-        Function that writes the model with calibrated cylinders; without it no model is written.
+        Function that writes the model with calibrated wrapping surfaces; without it no model is written.
     spreads
         Uncertainty of each leg's parameters and moments, if it was requested.
     motion

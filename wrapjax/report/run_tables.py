@@ -32,7 +32,7 @@ CHANGED_PATHS = (
 def parameters_csv(result: CalibrationResult, spread: LegSpread | None = None) -> str:
     """Write every parameter of every muscle in SI units with all digits, with bounds if it was free.
 
-    Then follow the weights of excitations made from synergies, the parameters of freed cylinders, and the
+    Then follow the weights of excitations made from synergies, the parameters of freed wraps, and the
     coefficients of freed paths (``PathSurrogate.term_names``), which have no bounds: the path length is the
     sum of coefficients times terms, whose coordinates are scaled as stated in settings.json. Given the
     uncertainty, free parameters also have a standard deviation and a 90 % interval; coefficients have none.
@@ -83,7 +83,7 @@ def band_table(result: CalibrationResult, spread: LegSpread, trial: int) -> Stor
 def osimx_of(result: CalibrationResult, model_file: str) -> str:
     """Write the muscle parameters as an ``.osimx`` file of the NMSM Pipeline.
 
-    The format has no elements for geometry. Calibrated cylinders are in the model that the file names;
+    The format has no elements for geometry. Calibrated wraps are in the model that the file names;
     changed polynomials cannot be represented, which a remark in the file states.
 
     Parameters

@@ -31,9 +31,9 @@ _MID_BLUE = "#9CC7E4"
 
 
 def kinds_of(result: CalibrationResult, spread: LegSpread) -> dict[str, list[str]]:
-    """List the muscles and the cylinders that have free parameters with bounds; empty kinds are omitted."""
+    """List the muscles and the wraps that have free parameters with bounds; empty kinds are omitted."""
     wraps = () if result.freedom.wraps is None else result.freedom.wraps.names
-    kinds = {"muscle": list(result.muscles), "cylinder": list(wraps)}
+    kinds = {"muscle": list(result.muscles), "wrapping surface": list(wraps)}
     owners = {label.rsplit(".", 1)[0] for label in spread.parameters.labels}
     free = {kind: [name for name in names if name in owners] for kind, names in kinds.items()}
     return {kind: names for kind, names in free.items() if names}
@@ -43,7 +43,7 @@ def kinds_of(result: CalibrationResult, spread: LegSpread) -> dict[str, list[str
 def interval_figure(result: CalibrationResult, spread: LegSpread, owners: list[str]) -> Figure:
     """Draw each parameter's 90 % interval between its bounds.
 
-    One column a parameter, one row a muscle or cylinder (``owners``).
+    One column a parameter, one row a muscle or wrapping surface (``owners``).
     """
     parameters = spread.parameters
     bounds = _bounds(result)
@@ -295,7 +295,7 @@ def _not_identified_table(spread: LegSpread) -> str:
     if not cells:
         return markup.paragraph("The moments reduce the uncertainty of every parameter.")
     return markup.table(
-        ("parameter", "number", "muscles or cylinders"),
+        ("parameter", "number", "muscles or wrapping surfaces"),
         cells,
         caption="Parameters that the moments do not identify: their interval is about as wide with the "
         "moments as without.",

@@ -4,14 +4,12 @@ import re
 from importlib.resources import files
 
 import numpy as np
-import pytest
 
+from tests.osim.bone_file import TETRAHEDRON
 from tests.report.model_view.conftest import COORDINATES, FRAMES, MUSCLES, numbers_of
 from tests.report.page import Page
-from wrapjax.errors import InputError
 from wrapjax.geometry.model_description import Pose
-from wrapjax.osim.attached_meshes import AttachedMesh
-from wrapjax.report.model_view.bones import find_bones, read_vtp
+from wrapjax.osim.bones import AttachedMesh
 from wrapjax.report.model_view.page import render_page
 from wrapjax.report.model_view.payload import describe_scene, to_script
 
@@ -99,33 +97,6 @@ def test_equal_scenes_give_equal_blocks(described, shown, scene):
 
 # ---- Bones
 
-TETRAHEDRON = """<?xml version="1.0"?>
-<VTKFile type="PolyData" version="0.1" byte_order="LittleEndian"><PolyData>
-<Piece NumberOfPoints="5" NumberOfPolys="3">
- <PointData><DataArray type="Float32" Name="Normals" format="ascii">1 0 0</DataArray></PointData>
- <Points><DataArray type="Float32" NumberOfComponents="3" format="ascii">
-  0 0 0  1 0 0  1 1 0  0 1 0  0 0 1</DataArray></Points>
- <Polys>
-  <DataArray type="Int32" Name="connectivity" format="ascii">0 1 2 3 0 1 4 1 2 4</DataArray>
-  <DataArray type="Int32" Name="offsets" format="ascii">4 7 10</DataArray>
- </Polys>
-</Piece></PolyData></VTKFile>
-"""
-
-
-def test_bones_are_read_placed_and_drawn(tmp_path, shown):
-    file = tmp_path / "thigh.vtp"
-    file.write_text(TETRAHEDRON)
-    vertices, triangles = read_vtp(file)
-    assert vertices.shape == (5, 3)
-    assert sorted(map(sorted, triangles.tolist())) == [[0, 1, 2], [0, 1, 4], [0, 2, 3], [1, 2, 4]]
-    quarter = Pose(((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, 0.5))
-    thigh = AttachedMesh("thigh.vtp", "femur_l", quarter, (2.0, 1.0, 1.0))
-    lost = AttachedMesh("shank.vtp", "tibia_l", quarter, (1.0, 1.0, 1.0))
-    (bone,), missing = find_bones((thigh, lost), (tmp_path / "none", tmp_path))
-    np.testing.assert_allclose(bone.vertices[[1, 3, 4]], [[0, 2, 0.5], [-1, 0, 0.5], [0, 0, 1.5]], atol=1e-12)
-    assert bone.body == "femur_l" and missing == ("shank.vtp",)
-
 
 def test_page_says_what_stands_for_bones(shown, tmp_path, monkeypatch):
     (tmp_path / "thigh.vtp").write_text(TETRAHEDRON)
@@ -133,7 +104,7 @@ def test_page_says_what_stands_for_bones(shown, tmp_path, monkeypatch):
     meshes = tuple(
         AttachedMesh(name, "femur_l", same, (1.0, 1.0, 1.0)) for name in ("thigh.vtp", "shank.vtp")
     )
-    monkeypatch.setattr("wrapjax.osim.attached_meshes.attached_meshes", lambda file: meshes)
+    monkeypatch.setattr("wrapjax.report.model_view.page.attached_meshes", lambda file: meshes)
     without = render_page(shown)
     assert "Geometry/*.vtp) were not found" in without and not numbers_of(without).content["bones"]
     page = render_page(shown, (tmp_path,))
@@ -145,30 +116,3 @@ def test_page_says_what_stands_for_bones(shown, tmp_path, monkeypatch):
     # Bones that would make the page too large are left out, which the page says.
     monkeypatch.setattr("wrapjax.report.model_view.page._LARGEST_PAGE", 1000)
     assert "too large for this page" in render_page(shown, (tmp_path,))
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("<VTKFile", "<VTK", "not well-formed"),
-        ('format="ascii">\n', 'format="appended">\n', "found 'appended'"),
-        ("0 1 2 3 0 1 4 1 2 4", "0 1 2 3 0 1 4 1 2 9", "vertices that it does not hold"),
-        ("4 7 10", "4 3 10", "ascending ends"),
-        ("4 7 10", "4 7 9", "up to the last"),
-        ("4 7 10", "4 7 1e300", "whole numbers"),
-        ("0 1 2 3 0 1 4 1 2 4", "0 1 2 3 0 1 4 1 2.5 4", "whole numbers"),
-        ("0 0 1</DataArray></Points>", "0 0 x</DataArray></Points>", "expected numbers"),
-        ("0 0 1</DataArray></Points>", "0 0</DataArray></Points>", "three for each vertex"),
-        ("0 0 1</DataArray></Points>", "0 0 nan</DataArray></Points>", "finite numbers"),
-        ('Name="offsets"', 'Name="ends"', "DataArray of offsets, found none"),
-        ("<Piece", "<!-- <Piece", "not well-formed"),
-        ('<Piece NumberOfPoints="5" NumberOfPolys="3">', "<Other>", "not well-formed"),
-    ],
-)
-def test_damaged_bones_are_refused(tmp_path, old, new, message):
-    file = tmp_path / "thigh.vtp"
-    assert old in TETRAHEDRON
-    file.write_text(TETRAHEDRON.replace(old, new, 1))
-    with pytest.raises(InputError, match=message) as caught:
-        read_vtp(file)
-    assert str(file) in str(caught.value)

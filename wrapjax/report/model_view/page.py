@@ -8,8 +8,8 @@ from pathlib import Path
 
 from wrapjax.errors import InputError
 from wrapjax.io.files import write_text
+from wrapjax.osim.bones import Bone, attached_meshes, find_bones, geometry_folders
 from wrapjax.report import markup
-from wrapjax.report.model_view.bones import Bone, find_bones
 from wrapjax.report.model_view.payload import describe_scene, to_script
 from wrapjax.report.model_view.quantities import path_quantities
 from wrapjax.report.model_view.scene import build_scene
@@ -66,8 +66,6 @@ def render_page(shown: Shown, bone_folders: Sequence[Path] = ()) -> str:
     InputError
         If a part of the model moves in an unsupported way, or a bone's file is damaged.
     """
-    from wrapjax.osim.attached_meshes import attached_meshes, geometry_folders
-
     scene = build_scene(
         shown.model,
         shown.muscles,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.report.model_view.bones import Bone
+from wrapjax.osim.bones import Bone
 from wrapjax.report.model_view.quantities import Quantity
 from wrapjax.report.model_view.scene import MusclePath, Scene
 from wrapjax.report.model_view.shown import Shown
