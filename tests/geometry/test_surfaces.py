@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.optimize
 from scipy.integrate import solve_ivp
 
 from validation.wrapping.draws import draw_poses, draw_surface
@@ -351,3 +352,51 @@ def test_of_several_ways_through_a_torus_the_shortest_is_found(sizes, start, end
     expected = torus_oracle(ends[:3], ends[3:], np.array([*sizes, sizes[1]]), functions)
     assert on_surface[0] > 0.01
     assert length[0] == pytest.approx(expected, abs=1e-6)
+
+
+def narrow_torus():
+    """Torus of the wrist's extensors in a public model; its hole is half as wide as its tube."""
+    return SurfaceDraw("torus", (0.009, 0.006))
+
+
+def test_straight_lines_continue_the_path_through_a_narrow_torus():
+    """Its slopes by the ends are the lines' directions; lines that pass through the tube reflect the path."""
+    ends = np.array([0.0056, 0.0071, 0.0118, 0.0099, -0.0241, -0.0172])
+    moved = ends + 1e-6 * np.concatenate([np.zeros((1, 6)), np.eye(6), -np.eye(6)])
+    length, slope, on_surface = engine_paths(narrow_torus(), moved)
+    assert on_surface[0] > 0.005
+    # The polynomial's own error; of a reflected path it is 0.08.
+    np.testing.assert_allclose(slope[0], (length[1:7] - length[7:]) / 2e-6, atol=2e-5)
+
+
+def test_a_path_through_a_narrow_torus_is_the_shortest_outside_of_the_tube():
+    """Against a polyline in space whose points stay out of the tube, by sequential quadratic programming."""
+    start, end = np.array([0.0056, 0.0071, 0.0118]), np.array([0.0099, -0.0241, -0.0172])
+    (length,), _, _ = engine_paths(narrow_torus(), np.concatenate([start, end])[None])
+
+    def all_points(inner):
+        return np.concatenate([start[None], inner.reshape(-1, 3), end[None]])
+
+    def depth(inner):
+        """Distance from the tube of points between the corners, too, m."""
+        points = all_points(inner)
+        points = np.concatenate([points[1:-1], 0.5 * (points[1:] + points[:-1])])
+        return np.hypot(np.hypot(points[:, 0], points[:, 1]) - 0.009, points[:, 2]) - 0.006
+
+    def length_of(inner):
+        """With equal chords the polyline's length, mm, and more with unequal ones."""
+        chords = np.diff(all_points(inner), axis=0)
+        return 1e3 * np.sqrt(len(chords) * np.sum(chords**2))
+
+    share = np.linspace(0.0, 1.0, 22)[1:-1, None]
+    # By the hole's center, so that the polyline is on no side of it.
+    by_center = np.where(share < 0.4, start * (1.0 - share / 0.4), end * (share - 0.4) / 0.6)
+    found = scipy.optimize.minimize(
+        length_of,
+        by_center.ravel(),
+        constraints={"type": "ineq", "fun": lambda inner: 1e3 * depth(inner)},
+        method="SLSQP",
+        options={"maxiter": 300, "ftol": 1e-7},
+    )
+    assert depth(found.x).min() > -1e-6
+    assert length == pytest.approx(1e-3 * found.fun, abs=1e-4)

@@ -37,7 +37,8 @@ class Differences:
     def row(self) -> str:
         """Format a row of the table."""
         known = np.isfinite(self.length)
-        length, arm = self.length[known], self.moment_arm[known]
+        # Sometimes OpenSim gives a length and no moment arm.
+        length, arm = self.length[known], self.moment_arm[known & np.isfinite(self.moment_arm)]
         numbers = [
             f"{function(values):.1e}"
             for values in (length, arm)

@@ -7,7 +7,10 @@ outside the surface, if that is convex near it. A damped Newton method minimises
 straight lines and the curve, by Gauss-Legendre quadrature, over the variables of both ends and the
 polynomial's coefficients. At the minimum the straight lines continue the curve, which is a geodesic, up to
 errors of the polynomial of which the length is independent to first order. Unlike the roots of conditions of
-tangency alone, minima are told from other stationary paths, by the second derivatives.
+tangency alone, minima are told from other stationary paths, by the second derivatives. Of the paths of the
+family some have a minimal length although a straight line does not continue the curve, as a ray that is
+reflected; they are told from shortest paths by the slopes of length by the path's ends, which are not the
+lines' directions then.
 """
 
 from __future__ import annotations
@@ -32,6 +35,9 @@ _SMALLEST_LENGTH = 1e-9
 _TOLERANCE, _MAX_STEPS = 1e-22, 25
 # That decrease at which a path counts as stationary.
 _STATIONARY = 1e-14
+# Largest difference between the slopes of length by an end and the direction of its line, and the length (m)
+# below which a line has no direction.
+_STRAIGHT, _SHORTEST_LINE = 1e-3, 1e-7
 # An increase of length (m) up to this size is round-off.
 _ROUND_OFF = 1e-15
 # Largest step of the variables of both ends (rad).
@@ -139,7 +145,7 @@ class Curve(NamedTuple):
     on_surface: Float[Array, ""]
     #: Length from point to point (m).
     total: Float[Array, ""]
-    #: Whether the path's length is stationary, and whether no path nearby is shorter.
+    #: Whether the path's length is stationary, and whether it is smooth and no path nearby is shorter.
     stationary: Bool[Array, ""]
     minimal: Bool[Array, ""]
 
@@ -185,8 +191,25 @@ def find_curve(family: Family, ends: Ends, initial: Float[Array, " 2"], search: 
         on_surface=on_surface,
         total=_distance(first, ends.start) + on_surface + _distance(last, ends.end),
         stationary=stationary,
-        minimal=stationary & jnp.all(pivots > 0.0),
+        minimal=stationary & jnp.all(pivots > 0.0) & _smooth(family, *jax.lax.stop_gradient((ends, found))),
     )
+
+
+def _smooth(family: Family, ends: Ends, variables: Float[Array, " variable"]) -> Bool[Array, ""]:
+    """Whether straight lines continue a curve of stationary length at both of its ends."""
+    shape = _shape(family, ends, variables)
+
+    def length(points: tuple[Array, Array]) -> Array:
+        return _length(family, ends._replace(start=points[0], end=points[1]), variables)
+
+    smooth = jnp.asarray(True)
+    points = (ends.start, ends.end)
+    for number, (point, slope) in enumerate(zip(points, jax.grad(length)(points), strict=True)):
+        line = point - family.chart(ends.surface, *shape[2 * number : 2 * number + 2])
+        along = jnp.sqrt(jnp.sum(line**2) + _SMALLEST_LENGTH**2)
+        kink = jnp.sqrt(jnp.sum((slope - line / along) ** 2))
+        smooth &= (kink < _STRAIGHT) | (along < _SHORTEST_LINE)
+    return smooth
 
 
 def _distance(one: Float[Array, " 3"], other: Float[Array, " 3"]) -> Float[Array, ""]:

@@ -6,6 +6,8 @@ crosses that plane outside the ring or intersects the tube. A segment with both 
 intersects the tube. Its contact is that of `find_curve`: the tube's angle is the curve's first coordinate,
 and the ring's angle the second one.
 
+A straight line of a path must not pass through the tube elsewhere, which it could where the hole is narrow.
+
 From an end inside the tube there is no path: the end then counts as on the surface.
 """
 
@@ -13,7 +15,7 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from wrapjax.geometry import cylinder
 from wrapjax.geometry.placed_surface import HALF_TURN, Contact, Decision, PlacedSurface, over_segments
@@ -27,6 +29,8 @@ _TRIALS, _HALVINGS = 32, 40
 _PAIRED = 32
 # Pairs of angles from which a path is searched.
 _STARTS = 3
+# Depth (m) up to which a line touches the tube and does not pass through it.
+_TOUCHING = 1e-7
 # Length of OpenSim's cylinder (m).
 _LENGTH = 10_000.0
 
@@ -140,6 +144,9 @@ def geodesic_contact(start: Vector, end: Vector, torus: PlacedSurface, decision:
         ends = Ends(start, end, surface, direction, -direction)
         starts = _initial(jax.lax.stop_gradient(ends), place)
         found = jax.vmap(lambda one: find_curve(_FAMILY, ends, one, Search(always, always)))(starts)
+        clear = jax.vmap(lambda first, last: _clear(start, first, sizes) & _clear(end, last, sizes))
+        outside = clear(*jax.lax.stop_gradient((found.first, found.last)))
+        found = found._replace(minimal=found.minimal & outside)
         shortest = jnp.argmin(jnp.where(found.minimal, found.total, jnp.inf))
         return jax.tree.map(lambda leaf: leaf[shortest], found)
 
@@ -235,6 +242,14 @@ def _initial(ends: Ends, place: Float[Array, ""]) -> Float[Array, "start 2"]:
     through = jnp.stack([trials[one], trials[one] + aside[one, other]], axis=1)
     opposite = (ends.start[2] > 0.0) != (ends.end[2] > 0.0)
     return jnp.where(opposite & jnp.any(minimal), through, place)
+
+
+def _clear(point: Float[Array, " 3"], touch: Float[Array, " 3"], sizes: Vector) -> Bool[Array, ""]:
+    """Whether the straight line from a point to one where it touches the tube is nowhere inside the tube."""
+    point, touch, ring, tube = jax.lax.stop_gradient((point, touch, sizes.x, sizes.y))
+    nearest = point + _nearest_share(point, touch, ring) * (touch - point)
+    aside = safe_sqrt(nearest[0] ** 2 + nearest[1] ** 2) - ring
+    return safe_sqrt(aside**2 + nearest[2] ** 2) > tube - _TOUCHING
 
 
 def _nearest_share(
