@@ -47,8 +47,29 @@ def test_tables_equal_opensim_and_the_library(odd_model, poses_file, tmp_path):
     summary = json.loads((out / "paths.json").read_text())
     assert summary["schema"] == 1 and summary["poses"] == 6 and summary["unsupported"] == {}
     assert summary["muscles"]["hip_flexor"]["wraps"] == ["brim"]
+    assert "In every pose" not in outcome.output
     again = run("paths", odd_model, "--poses", poses_file, "--mode", "parity", "--out", out)
     assert again.status == 2 and "force" in again.progress
+
+
+@pytest.mark.parametrize(
+    ("mode", "answer"), [("parity", "do not wrap there"), ("geodesic", "begins on the surface there")]
+)
+def test_wraps_that_hold_a_path_point_are_named(odd_model, poses_file, tmp_path, mode, answer):
+    """The ellipsoid's center is 5 mm from the insertion along its shortest semi-axis of 30 mm."""
+    text = odd_model.read_text()
+    start = text.index("<translation>", text.index('name="brim"')) + len("<translation>")
+    moved = text[:start] + "0.045 -0.3 0" + text[text.index("<", start) :]
+    (tmp_path / "model.osim").write_text(moved)
+    command = ("paths", tmp_path / "model.osim", "--poses", poses_file, "--mode", mode)
+    outcome = run(*command, "--out", tmp_path / "out")
+    assert outcome.status == 0, outcome.progress
+    assert "In every pose a point of the path is inside a wrap: hip_flexor brim (25 mm)." in outcome.output
+    assert answer in outcome.output
+    summary = json.loads((tmp_path / "out" / "paths.json").read_text())["muscles"]
+    assert summary["hip_flexor"]["inside_m"] == {"brim": pytest.approx(0.025, abs=1e-9)}
+    assert not summary["flexor"]["inside_m"] and not summary["extensor"]["inside_m"]
+    assert summary["hip_flexor"]["irregular_share"] == 1.0
 
 
 def test_wrong_names_and_shapes_get_one_sentence(odd_model):

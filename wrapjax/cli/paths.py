@@ -34,6 +34,23 @@ def path_table(tables: PathTables) -> str:
     return "\n".join(lines)
 
 
+def inside_sentence(tables: PathTables) -> str:
+    """Name the wraps that a path point is inside of in every pose; empty without one."""
+    named = [
+        f"{muscle} {wrap} ({1e3 * depth:.2g} mm)"
+        for muscle, wraps in tables.inside.items()
+        for wrap, depth in wraps.items()
+    ]
+    if not named:
+        return ""
+    answer = {
+        "parity": "As in OpenSim, the segments of the path next to it do not wrap there",
+        "geodesic": "The shortest path begins on the surface there; OpenSim does not wrap the segments next "
+        "to the point",
+    }[tables.paths.mode]
+    return f"In every pose a point of the path is inside a wrap: {', '.join(named)}. {answer}."
+
+
 def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     """Add the command to the parser."""
     about = "Compute muscle lengths and moment arms of an OpenSim model in poses, without OpenSim."
@@ -79,5 +96,7 @@ def run(options: argparse.Namespace) -> int:
     print(path_table(tables))
     if tables.at_default:
         print(f"\nat the model's defaults: {', '.join(tables.at_default)}")
+    if sentence := inside_sentence(tables):
+        print(f"\n{sentence}")
     print(f"\nwritten to {options.out}")
     return DONE

@@ -25,9 +25,9 @@ from jaxtyping import Array, Bool, Float, Int
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.kinematics import BodyMotion, CoordinateValues, PathPoints, body_motion, path_points
 from wrapjax.geometry.model_description import ModelDescription, Muscle, PathWrap, WrapObject
-from wrapjax.geometry.path_on_cylinders import PointsAndBodies
-from wrapjax.geometry.placed_surface import PlacedSurface, WrapMethod
-from wrapjax.geometry.several_wraps import Numbers, wrap_in_parity, wrap_shortest
+from wrapjax.geometry.path_on_cylinders import PointsAndBodies, surfaces_in_ground
+from wrapjax.geometry.placed_surface import FREE, PlacedSurface, WrapMethod
+from wrapjax.geometry.several_wraps import Numbers, point_clearances, wrap_in_parity, wrap_shortest
 from wrapjax.geometry.vectors import vector
 from wrapjax.geometry.wrap_methods import (
     CYLINDER,
@@ -35,6 +35,7 @@ from wrapjax.geometry.wrap_methods import (
     SHORTEST,
     SUPPORTED_CLASSES,
     Kinds,
+    clearance,
     kind_of,
 )
 from wrapjax.geometry.wrapping import (
@@ -105,6 +106,26 @@ class PosedPath(eqx.Module):
         placed = surface.placed(parameters[0])
         method = wrapping.once(self.kinds[0] if self.kinds else CYLINDER)
         return jax.vmap(lambda path: wrap_once(path, placed, method))(self.path)
+
+    def nearest_points(self) -> Float[Array, "pose wrap"]:
+        """Compute the distance of the nearest path point from each nominal surface (m), negative inside."""
+        nominal = jnp.asarray(nominal_parameters(self.surfaces.radius.shape[0]))
+        placed = jax.vmap(Surface.placed)(self.surfaces, nominal)
+        path = self.path
+        if isinstance(path, PointsAndBodies):
+
+            def of_pose(path: PointsAndBodies) -> Float[Array, " wrap"]:
+                in_ground = surfaces_in_ground(path, placed)
+                return point_clearances(path, in_ground, self.kinds, self.numbers).min(axis=1)
+
+            return jax.vmap(of_pose)(path)
+        if not nominal.shape[0]:
+            return jnp.zeros((*path.length.shape, 0))
+        surface, kind = jax.tree.map(lambda leaf: leaf[0], placed), (self.kinds or (CYLINDER,))[0]
+        ends = jnp.stack(
+            [clearance(surface.to_surface_frame(end), surface, kind) for end in (path.start, path.end)]
+        )
+        return jnp.where(path.eligible, ends.min(axis=0), FREE).min(axis=1, keepdims=True)
 
 
 class ExactPaths:

@@ -86,7 +86,7 @@ def wrap_shortest(
     kinds = _known(kinds, surfaces)
     route, contacts = _shortest_path(path, surfaces, kinds, numbers)
     placed = surfaces_in_ground(path, surfaces)
-    clearances = _point_clearances(path, placed, kinds, numbers)
+    clearances = point_clearances(path, placed, kinds, numbers)
     moving = None if path.moving is None else jnp.append(path.moving, jnp.zeros(2 * len(placed.radius), bool))
     return _wrapped_path(route, path, placed, clearances, contacts.off_end, contacts.long_wrap, moving)
 
@@ -184,7 +184,7 @@ def wrap_in_parity(
         *(jnp.asarray(jnp.inf), jnp.asarray(0), jnp.asarray(False)),
     )
     route, *_ = jax.lax.while_loop(unfinished, sweep, start)
-    clearances = _point_clearances(path, placed, kinds, numbers)
+    clearances = point_clearances(path, placed, kinds, numbers)
     return _wrapped_path(route, path, placed, clearances, route.margins.off_end, route.margins.long_wrap)
 
 
@@ -435,10 +435,20 @@ def _wrapped_path(
     )
 
 
-def _point_clearances(
+def point_clearances(
     path: PointsAndBodies, placed: PlacedSurface, kinds: Kinds, numbers: Numbers
 ) -> Float[Array, "wrap point"]:
-    """Distance of each path point from each surface that it may wrap round (m), negative inside."""
+    """Compute the distance of each path point from each surface that it may wrap round (m), negative inside.
+
+    Parameters
+    ----------
+    path
+        Path points and bodies in one pose.
+    placed
+        Surfaces in ground's frame.
+    kinds, numbers
+        As in `wrap_shortest`.
+    """
 
     def of_wrap(surface: PlacedSurface, kind: str) -> Float[Array, " point"]:
         return clearance(surface.to_surface_frame(vector(path.position)), surface, kind)

@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 MODES: dict[str, Wrapping] = {"geodesic": GEODESIC, "parity": PARITY}
 # Step of central differences of points and bodies by coordinates, rad or m.
 _STEP = 1e-4
+# Poses in which points inside of wraps are looked for.
+_LOOKED_AT = 20
 # Most poses in one batch.
 _BATCH = 512
 
@@ -187,6 +189,28 @@ class MusclePaths:
             values = _evaluated(self.posed(padded), jnp.asarray(parameters))
             parts.append(jax.tree.map(np.asarray, values))
         return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(poses)], *parts)
+
+    def points_inside(self, poses: Float[np.ndarray, "pose coordinate"]) -> dict[str, dict[str, float]]:
+        """Find wraps that a path point is inside of in every pose, so that OpenSim never uses them.
+
+        Parameters
+        ----------
+        poses
+            Values of `coordinates`, rad or m; 20 of them are looked at.
+
+        Returns
+        -------
+        depth
+            By muscle and wrap: the least depth of such a point in any pose, m.
+        """
+        some = np.unique(np.linspace(0, len(poses) - 1, _LOOKED_AT).round().astype(int))
+        found = {}
+        for name, posed in self.engine.posed(self._checked(poses)[some]).items():
+            outside = np.asarray(posed.nearest_points()).max(axis=0, initial=-np.inf)
+            own = zip(self.engine.wraps_of(name), outside.tolist(), strict=True)
+            if inside := {wrap: -distance for wrap, distance in own if distance < 0.0}:
+                found[name] = inside
+        return found
 
     def to_dataset(
         self,

@@ -33,6 +33,8 @@ class PathTables:
         Lengths (m) and moment arms (m, m/rad).
     at_default
         Coordinates that the file lacks, which are at the model's defaults.
+    inside
+        Least depth (m) of a path point inside of a wrap, by muscle and wrap, where one is in every pose.
     """
 
     paths: MusclePaths
@@ -40,6 +42,7 @@ class PathTables:
     time: Float[np.ndarray, " pose"]
     values: PathValues
     at_default: tuple[str, ...]
+    inside: dict[str, dict[str, float]]
 
     def save(self, folder: Path | str, *, force: bool = False) -> None:
         """Write ``lengths.sto``, ``moment_arm_<coordinate>.sto`` and ``paths.json`` into a new folder.
@@ -84,6 +87,7 @@ class PathTables:
                     "wraps": list(self.paths.engine.wraps_of(name)),
                     "touching_share": float(touching[:, column].mean()),
                     "irregular_share": float(1.0 - regular[:, column].mean()),
+                    "inside_m": self.inside.get(name, {}),
                     "length_m": [float(length[:, column].min()), float(length[:, column].max())],
                 }
                 for column, name in enumerate(self.paths.muscles)
@@ -140,4 +144,5 @@ def path_tables(paths: MusclePaths, poses_file: Path | str) -> PathTables:
         )
     if problems:
         raise InputError(problems)
-    return PathTables(paths, file, table.time, paths(poses), tuple(missing))
+    inside = paths.points_inside(poses) if len(poses) else {}
+    return PathTables(paths, file, table.time, paths(poses), tuple(missing), inside)
