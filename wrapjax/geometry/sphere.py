@@ -84,11 +84,11 @@ def decide_wrapping(start: Vector, end: Vector, sphere: PlacedSurface) -> Sphere
     way = (first - start) + (last - end)
     along = jnp.where(sphere.side_axis == 0, way.x, jnp.where(sphere.side_axis == 1, way.y, way.z))
     passes_far = restricted & ~(start_on & end_on) & (along * sphere.side >= 0.0)
+    # Of several segments that intersect an unrestricted sphere, OpenSim wraps the one that becomes longer by
+    # the least, and not the first one as round other surfaces.
+    first_wraps = restricted & (start_on | end_on)
     return replace(
-        decision,
-        mandatory=crossing & (~restricted | start_on | end_on),
-        possible=crossing & restricted & ~(start_on | end_on),
-        far=passes_far,
+        decision, mandatory=crossing & first_wraps, possible=crossing & ~first_wraps, far=passes_far
     )
 
 
