@@ -140,8 +140,11 @@ def row(title: str, ranked: Sequence[tuple[Example, list[str]]]) -> str:
     """Format how often the cause is first and among three, by size."""
     figures = []
     for low, high in ((CLEAR, PLAIN), (PLAIN, np.inf)):
-        own = [order.index(one.cause) if one.cause in order else len(order) for one, order in ranked
-               if low <= one.d_star < high]  # fmt: skip
+        own = [
+            order.index(one.cause) if one.cause in order else np.inf
+            for one, order in ranked
+            if low <= one.d_star < high
+        ]
         first, three = sum(place == 0 for place in own), sum(place < 3 for place in own)
         figures += [f"{first} of {len(own)}", f"{three} of {len(own)}"]
     return f"| {title} | {' | '.join(figures)} |"
