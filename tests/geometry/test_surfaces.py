@@ -400,3 +400,19 @@ def test_a_path_through_a_narrow_torus_is_the_shortest_outside_of_the_tube():
     )
     assert depth(found.x).min() > -1e-6
     assert length == pytest.approx(1e-3 * found.fun, abs=1e-4)
+
+
+#: Ends of the path of the long head of the biceps in a public model, one of them 1.7 mm inside its ellipsoid.
+INSIDE, BESIDE = (0.0158, -0.0134, 0.0015), (-0.0032, -0.0194, -0.0122)
+
+
+@pytest.mark.parametrize(
+    ("start", "end"), [(INSIDE, BESIDE), (BESIDE, INSIDE), (INSIDE, (-0.03, -0.03, -0.03))]
+)
+def test_from_an_end_inside_an_ellipsoid_the_path_begins_along_the_surface(start, end):
+    """The slopes by the ends are those of length, with the end inside moved to the surface."""
+    step = 1e-5
+    ends = np.array([*start, *end]) + step * np.concatenate([np.zeros((1, 6)), np.eye(6), -np.eye(6)])
+    length, slope, on_surface = engine_paths(SurfaceDraw("ellipsoid", (0.025, 0.02, 0.02)), ends)
+    assert on_surface.min() > 0.005
+    np.testing.assert_allclose(slope[0], (length[1:7] - length[7:]) / (2.0 * step), atol=1e-4)

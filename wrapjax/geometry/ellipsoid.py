@@ -8,7 +8,8 @@ leaves the plane. Paths on both sides of the ellipsoid are computed and the shor
 
 A quadrant requires that the middle of the contact is on the active side. If the shortest path is not, the
 path on the opposite side is taken, which need not be locally shortest; the margin that `Contact.turn` leaves
-to half a turn is then negative. From an end inside there is no path: the end then counts as on the surface.
+to half a turn is then negative. From an end inside there is no path: the end then counts as on the surface,
+along which the path begins.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from jaxtyping import Array, Bool, Float
 
 from wrapjax.geometry.placed_surface import HALF_TURN, Contact, Decision, PlacedSurface, over_segments
 from wrapjax.geometry.sphere import intersects
-from wrapjax.geometry.surface_curve import Curve, Ends, Family, Jet, Search, find_curve
+from wrapjax.geometry.surface_curve import Curve, Ends, Family, Jet, Search, find_curve, pull_at
 from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt, stack_components, vector
 
 # Angles about the segment of the planes that are compared, and nodes of the quadrature of their paths.
@@ -120,22 +121,31 @@ def geodesic_contact(start: Vector, end: Vector, ellipsoid: PlacedSurface, decis
     sizes = ellipsoid.sizes
     assert sizes is not None
 
-    def one(start: Array, end: Array) -> tuple[Curve, Bool[Array, ""]]:
-        return _shortest(start, end, stack_components(sizes), ellipsoid)
+    axes = stack_components(sizes)
 
-    curve, on_side = over_segments(one, start)(stack_components(start), stack_components(end))
-    # Ends inside: the straight lines start on the surface.
-    first, last = vector(curve.first), vector(curve.last)
-    start_pull = (first - start).unit()
-    end_pull = (end - last).unit()
+    def one(start: Array, end: Array) -> tuple[Curve, Bool[Array, ""], Array, Array]:
+        curve, on_side = _shortest(start, end, axes, ellipsoid)
+
+        def to_surface(point: Array) -> Array:
+            return _outside(point / axes) * axes
+
+        pulls = (
+            pull_at(start, curve.first, curve.first_direction, to_surface),
+            -pull_at(end, curve.last, -curve.last_direction, to_surface),
+        )
+        return curve, on_side, *pulls
+
+    curve, on_side, start_pull, end_pull = over_segments(one, start)(
+        stack_components(start), stack_components(end)
+    )
     locally_shortest = curve.minimal & on_side
     return Contact(
-        first=first,
-        last=last,
+        first=vector(curve.first),
+        last=vector(curve.last),
         length=curve.on_surface,
         total=curve.total,
-        start_pull=start_pull,
-        end_pull=end_pull,
+        start_pull=vector(start_pull),
+        end_pull=vector(end_pull),
         valid=jnp.ones_like(decision.inside),
         turn=jnp.where(locally_shortest, 0.5 * HALF_TURN, 1.5 * HALF_TURN),
         off_end=jnp.ones_like(curve.total),
@@ -191,16 +201,17 @@ def _shortest(
     return jax.tree.map(lambda leaf: leaf[taken], both), on_side[taken]
 
 
+def _outside(point: Float[Array, " 3"]) -> Float[Array, " 3"]:
+    """Move a point inside the unit sphere to the sphere."""
+    distance = safe_sqrt(jnp.sum(point**2))
+    return point * jnp.where(distance < 1.0, safe_inverse(distance), 1.0)
+
+
 def _crossing_segment(
     start: Float[Array, " 3"], end: Float[Array, " 3"]
 ) -> tuple[Float[Array, " 3"], Float[Array, " 3"]]:
     """Return ends of a segment that intersects the unit sphere, from ends that may be inside or beside it."""
-
-    def outside(point: Float[Array, " 3"]) -> Float[Array, " 3"]:
-        distance = safe_sqrt(jnp.sum(point**2))
-        return point * jnp.where(distance < 1.0, safe_inverse(distance), 1.0)
-
-    start, end = outside(start), outside(end)
+    start, end = _outside(start), _outside(end)
     way = end - start
     square = jnp.sum(way**2)
     along = -jnp.sum(start * way) * safe_inverse(square)

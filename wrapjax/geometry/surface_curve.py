@@ -24,6 +24,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from wrapjax.geometry.vectors import safe_inverse, safe_sqrt
+
 #: Number of the polynomial's coefficients, and of nodes of the quadrature.
 COEFFICIENTS, NODES = 6, 16
 #: Number of variables: one for each end, and the coefficients.
@@ -76,6 +78,8 @@ def _shapes() -> Float[np.ndarray, "node 4 shape"]:
 
 _SHAPES = _shapes()
 _MIDDLE = _bumps(np.zeros(1), False)[0]
+# Slopes of the polynomials at both ends.
+_END_SLOPES = _bumps(np.array([-1.0, 1.0]), True)
 # Pairs of the four numbers that a speed depends on, and the sums over nodes that give the derivatives of
 # length by the curve's shape from those of the speeds.
 _PAIRS = [(one, other) for one in range(4) for other in range(one, 4)]
@@ -139,6 +143,9 @@ class Curve(NamedTuple):
     #: Points where the path comes to the surface and leaves it (m).
     first: Float[Array, " 3"]
     last: Float[Array, " 3"]
+    #: Unit vectors along the curve at these points.
+    first_direction: Float[Array, " 3"]
+    last_direction: Float[Array, " 3"]
     #: Point of the surface in the curve's middle (m).
     middle: Float[Array, " 3"]
     #: Length on the surface (m).
@@ -184,15 +191,62 @@ def find_curve(family: Family, ends: Ends, initial: Float[Array, " 2"], search: 
     first, last = family.chart(ends.surface, *shape[:2]), family.chart(ends.surface, *shape[2:4])
     middle = 0.5 * (shape[:2] + shape[2:4]) + jnp.stack([jnp.zeros(()), jnp.asarray(_MIDDLE) @ shape[4:]])
     on_surface = _curve_length(family, ends, shape)
+    first_direction, last_direction = _directions(family, ends.surface, shape)
     return Curve(
         first=first,
         last=last,
+        first_direction=first_direction,
+        last_direction=last_direction,
         middle=family.chart(ends.surface, *middle),
         on_surface=on_surface,
         total=_distance(first, ends.start) + on_surface + _distance(last, ends.end),
         stationary=stationary,
         minimal=stationary & jnp.all(pivots > 0.0) & _smooth(family, *jax.lax.stop_gradient((ends, found))),
     )
+
+
+def _directions(
+    family: Family, surface: Any, shape: Float[Array, " shape"]
+) -> tuple[Float[Array, " 3"], Float[Array, " 3"]]:
+    """Compute unit vectors along a curve at its first and its last point."""
+    along = 0.5 * (shape[2:4] - shape[:2])
+
+    def direction(place: Float[Array, " 2"], slopes: Float[np.ndarray, " coefficient"]) -> Float[Array, " 3"]:
+        rate = jnp.stack([along[0], along[1] + jnp.asarray(slopes) @ shape[4:]])
+        velocity = jax.jvp(lambda at: family.chart(surface, *at), (place,), (rate,))[1]
+        return velocity / jnp.sqrt(jnp.sum(velocity**2) + _SMALLEST_LENGTH**2)
+
+    return direction(shape[:2], _END_SLOPES[0]), direction(shape[2:4], _END_SLOPES[1])
+
+
+def pull_at(
+    point: Float[Array, " 3"],
+    touch: Float[Array, " 3"],
+    direction: Float[Array, " 3"],
+    outside: Callable[[Float[Array, " 3"]], Float[Array, " 3"]],
+) -> Float[Array, " 3"]:
+    """Compute the direction of a path at one of its ends, towards the curve.
+
+    Parameters
+    ----------
+    point, touch
+        End of the path, and the end of the curve that its line touches (m).
+    direction
+        Unit vector along the curve there, away from the line.
+    outside
+        Function that moves an end inside the surface to it, and leaves others where they are.
+
+    Returns
+    -------
+    pull
+        The slope of length by the end, negative: a unit vector for an end outside.
+    """
+    begins, back = jax.vjp(outside, point)
+    line = touch - begins
+    length = safe_sqrt(jnp.sum(line**2))
+    # From an end on the surface the path may begin along it.
+    along = jnp.where(length > _SHORTEST_LINE, line * safe_inverse(length), direction)
+    return back(along)[0]
 
 
 def _smooth(family: Family, ends: Ends, variables: Float[Array, " variable"]) -> Bool[Array, ""]:

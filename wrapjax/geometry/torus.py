@@ -8,7 +8,8 @@ and the ring's angle the second one.
 
 A straight line of a path must not pass through the tube elsewhere, which it could where the hole is narrow.
 
-From an end inside the tube there is no path: the end then counts as on the surface.
+From an end inside the tube there is no path: the end then counts as on the surface, along which the path
+begins.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from wrapjax.geometry import cylinder
 from wrapjax.geometry.placed_surface import HALF_TURN, Contact, Decision, PlacedSurface, over_segments
-from wrapjax.geometry.surface_curve import Curve, Ends, Family, Jet, Search, find_curve
+from wrapjax.geometry.surface_curve import Curve, Ends, Family, Jet, Search, find_curve, pull_at
 from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt, stack_components, vector
 
 # Points of a segment, or of the ring, among which the nearest is searched, and halvings of the interval
@@ -132,7 +133,8 @@ def geodesic_contact(start: Vector, end: Vector, torus: PlacedSurface, decision:
         ring_angle: Float[Array, ""],
         direction: Float[Array, ""],
         wraps: Array,
-    ) -> Curve:
+    ) -> tuple[Curve, Array, Array]:
+        given = (start, end)
         surface = jnp.stack([sizes.x, sizes.y])
         # In place of segments that do not wrap, whose contact is not used, some segment that does is
         # computed.
@@ -148,23 +150,31 @@ def geodesic_contact(start: Vector, end: Vector, torus: PlacedSurface, decision:
         outside = clear(*jax.lax.stop_gradient((found.first, found.last)))
         found = found._replace(minimal=found.minimal & outside)
         shortest = jnp.argmin(jnp.where(found.minimal, found.total, jnp.inf))
-        return jax.tree.map(lambda leaf: leaf[shortest], found)
+        taken: Curve = jax.tree.map(lambda leaf: leaf[shortest], found)
 
-    curve = over_segments(one, start)(
+        def to_surface(point: Array) -> Array:
+            return _outside(point, sizes)
+
+        return (
+            taken,
+            pull_at(given[0], taken.first, taken.first_direction, to_surface),
+            -pull_at(given[1], taken.last, -taken.last_direction, to_surface),
+        )
+
+    curve, start_pull, end_pull = over_segments(one, start)(
         stack_components(start),
         stack_components(end),
         jax.lax.stop_gradient(decision.ring_angle),
         decision.direction,
         decision.possible,
     )
-    first, last = vector(curve.first), vector(curve.last)
     return Contact(
-        first=first,
-        last=last,
+        first=vector(curve.first),
+        last=vector(curve.last),
         length=curve.on_surface,
         total=curve.total,
-        start_pull=(first - start).unit(),
-        end_pull=(end - last).unit(),
+        start_pull=vector(start_pull),
+        end_pull=vector(end_pull),
         valid=jnp.ones_like(decision.inside),
         turn=jnp.where(curve.minimal, 0.5 * HALF_TURN, 1.5 * HALF_TURN),
         off_end=jnp.ones_like(curve.total),
