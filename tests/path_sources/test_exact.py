@@ -205,7 +205,7 @@ def test_untouched_wraps_are_free_on_request(subject, geometry):
 def test_surfaces_are_an_option_of_pga_alone(folder, tmp_path, capsys):
     arguments = ["calibrate", str(folder), "--method", "NGA", "--surfaces", "all"]
     assert main([*arguments, "--out", str(tmp_path / "run")]) == 2
-    assert "the other methods change no cylinders" in capsys.readouterr().err
+    assert "the other methods change no wrapping surfaces" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
 
 

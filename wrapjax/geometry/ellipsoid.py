@@ -21,9 +21,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from wrapjax.geometry.curve_length import Ends, Family, Jet
 from wrapjax.geometry.placed_surface import HALF_TURN, Contact, Decision, PlacedSurface, over_segments
 from wrapjax.geometry.sphere import intersects
-from wrapjax.geometry.surface_curve import Curve, Ends, Family, Jet, Search, find_curve, pull_at
+from wrapjax.geometry.surface_curve import Curve, Search, find_curve, pull_at
 from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt, stack_components, vector
 
 # Angles about the segment of the planes that are compared, and nodes of the quadrature of their paths.

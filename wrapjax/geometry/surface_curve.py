@@ -24,15 +24,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from wrapjax.geometry.curve_length import (
+    COEFFICIENTS,
+    END_SLOPES,
+    MIDDLE,
+    SMALLEST_LENGTH,
+    VARIABLES,
+    Ends,
+    Family,
+    curve_length,
+    curve_shape,
+    distance,
+    length_expansion,
+    length_gradient,
+    path_length,
+)
 from wrapjax.geometry.vectors import safe_inverse, safe_sqrt
 
-#: Number of the polynomial's coefficients, and of nodes of the quadrature.
-COEFFICIENTS, NODES = 6, 16
-#: Number of variables: one for each end, and the coefficients.
-VARIABLES = COEFFICIENTS + 2
-
-# Added to the square of lengths (m), whose root has no derivative at zero.
-_SMALLEST_LENGTH = 1e-9
 # The decrease of length (m) that Newton's method predicts, at which it ends, and the most steps.
 _TOLERANCE, _MAX_STEPS = 1e-22, 25
 # That decrease at which a path counts as stationary.
@@ -47,94 +55,6 @@ _LONGEST_STEP = 0.5
 _FIRST_DAMPING, _LEAST_DAMPING = 1e-2, 1e-6
 # Second derivative of length (m) that counts as zero.
 _FLAT = 1e-13
-
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(NODES)
-
-
-def _bumps(at: Float[np.ndarray, " node"], slope: bool) -> Float[np.ndarray, "node coefficient"]:
-    """Polynomials that are zero at both ends: (1 - x^2) T_k(x), or their slopes."""
-    columns = []
-    for row in np.eye(COEFFICIENTS):
-        polynomial = np.polynomial.Polynomial([1.0, 0.0, -1.0]) * np.polynomial.Chebyshev(row).convert(
-            kind=np.polynomial.Polynomial
-        )
-        columns.append((polynomial.deriv() if slope else polynomial)(at))
-    return np.stack(columns, axis=1)
-
-
-def _shapes() -> Float[np.ndarray, "node 4 shape"]:
-    """Differentiate both coordinates and their slopes at each node by the curve's shape.
-
-    The shape is both coordinates of the first and of the last point, and the coefficients.
-    """
-    shapes = np.zeros((NODES, 4, 4 + COEFFICIENTS))
-    before, after = 0.5 * (1.0 - _NODES), 0.5 * (1.0 + _NODES)
-    for coordinate in range(2):
-        shapes[:, coordinate, coordinate], shapes[:, coordinate, 2 + coordinate] = before, after
-        shapes[:, 2 + coordinate, coordinate], shapes[:, 2 + coordinate, 2 + coordinate] = -0.5, 0.5
-    shapes[:, 1, 4:], shapes[:, 3, 4:] = _bumps(_NODES, False), _bumps(_NODES, True)
-    return shapes
-
-
-_SHAPES = _shapes()
-_MIDDLE = _bumps(np.zeros(1), False)[0]
-# Slopes of the polynomials at both ends.
-_END_SLOPES = _bumps(np.array([-1.0, 1.0]), True)
-# Pairs of the four numbers that a speed depends on, and the sums over nodes that give the derivatives of
-# length by the curve's shape from those of the speeds.
-_PAIRS = [(one, other) for one in range(4) for other in range(one, 4)]
-_BY_SHAPE = (_WEIGHTS[:, None, None] * _SHAPES).transpose(1, 0, 2).reshape(4 * NODES, -1)
-_TWICE_BY_SHAPE = np.stack(
-    [
-        (0.5 if one == other else 1.0)
-        * _WEIGHTS[:, None, None]
-        * (
-            _SHAPES[:, one, :, None] * _SHAPES[:, other, None, :]
-            + _SHAPES[:, other, :, None] * _SHAPES[:, one, None, :]
-        )
-        for one, other in _PAIRS
-    ]
-).reshape(len(_PAIRS) * NODES, -1)
-
-#: Value and first three derivatives of a function of one coordinate.
-Jet = tuple[Float[Array, "*node"], Float[Array, "*node"], Float[Array, "*node"], Float[Array, "*node"]]
-
-
-class Family(NamedTuple):
-    """A kind of surface: its chart, and the points where lines from a given point are tangent to it.
-
-    The chart is separable: a point is a matrix times three products of a function of the first coordinate
-    and a function of the second one. ``matrix`` computes the matrix (m) from the surface's parameters,
-    ``factors`` the functions from the parameters and both coordinates, as two triples of `Jet`. ``tangent``
-    computes both coordinates of a tangent point from the surface's parameters, the given point (m),
-    constants that choose among the tangent points, and the variable of this end.
-    """
-
-    matrix: Callable[[Any], Float[Array, "3 3"]]
-    factors: Callable[
-        [Any, Float[Array, "*node"], Float[Array, "*node"]], tuple[tuple[Jet, Jet, Jet], tuple[Jet, Jet, Jet]]
-    ]
-    tangent: Callable[[Any, Float[Array, " 3"], Any, Float[Array, ""]], Float[Array, " 2"]]
-
-    def chart(self, surface: Any, one: Float[Array, ""], other: Float[Array, ""]) -> Float[Array, " 3"]:
-        """Compute a point of the surface (m) from its coordinates."""
-        products = [
-            left[0] * right[0] for left, right in zip(*self.factors(surface, one, other), strict=True)
-        ]
-        return self.matrix(surface) @ jnp.stack(products)
-
-
-class Ends(NamedTuple):
-    """What a path over a surface depends on."""
-
-    #: Ends of the path (m).
-    start: Float[Array, " 3"]
-    end: Float[Array, " 3"]
-    #: Parameters of the surface.
-    surface: Any
-    #: Constants that choose the tangent points of both ends.
-    at_start: Any
-    at_end: Any
 
 
 class Curve(NamedTuple):
@@ -187,10 +107,10 @@ def find_curve(family: Family, ends: Ends, initial: Float[Array, " 2"], search: 
     move, pivots = _eliminated(hessian, gradient[:, None])
     stationary = jnp.abs(jnp.sum(gradient * move[:, 0])) < _STATIONARY
     found = jnp.where(stationary, found, start)
-    shape = _shape(family, ends, found)
+    shape = curve_shape(family, ends, found)
     first, last = family.chart(ends.surface, *shape[:2]), family.chart(ends.surface, *shape[2:4])
-    middle = 0.5 * (shape[:2] + shape[2:4]) + jnp.stack([jnp.zeros(()), jnp.asarray(_MIDDLE) @ shape[4:]])
-    on_surface = _curve_length(family, ends, shape)
+    middle = 0.5 * (shape[:2] + shape[2:4]) + jnp.stack([jnp.zeros(()), jnp.asarray(MIDDLE) @ shape[4:]])
+    on_surface = curve_length(family, ends, shape)
     first_direction, last_direction = _directions(family, ends.surface, shape)
     return Curve(
         first=first,
@@ -199,7 +119,7 @@ def find_curve(family: Family, ends: Ends, initial: Float[Array, " 2"], search: 
         last_direction=last_direction,
         middle=family.chart(ends.surface, *middle),
         on_surface=on_surface,
-        total=_distance(first, ends.start) + on_surface + _distance(last, ends.end),
+        total=distance(first, ends.start) + on_surface + distance(last, ends.end),
         stationary=stationary,
         minimal=stationary & jnp.all(pivots > 0.0) & _smooth(family, *jax.lax.stop_gradient((ends, found))),
     )
@@ -214,9 +134,9 @@ def _directions(
     def direction(place: Float[Array, " 2"], slopes: Float[np.ndarray, " coefficient"]) -> Float[Array, " 3"]:
         rate = jnp.stack([along[0], along[1] + jnp.asarray(slopes) @ shape[4:]])
         velocity = jax.jvp(lambda at: family.chart(surface, *at), (place,), (rate,))[1]
-        return velocity / jnp.sqrt(jnp.sum(velocity**2) + _SMALLEST_LENGTH**2)
+        return velocity / jnp.sqrt(jnp.sum(velocity**2) + SMALLEST_LENGTH**2)
 
-    return direction(shape[:2], _END_SLOPES[0]), direction(shape[2:4], _END_SLOPES[1])
+    return direction(shape[:2], END_SLOPES[0]), direction(shape[2:4], END_SLOPES[1])
 
 
 def pull_at(
@@ -251,151 +171,19 @@ def pull_at(
 
 def _smooth(family: Family, ends: Ends, variables: Float[Array, " variable"]) -> Bool[Array, ""]:
     """Whether straight lines continue a curve of stationary length at both of its ends."""
-    shape = _shape(family, ends, variables)
+    shape = curve_shape(family, ends, variables)
 
     def length(points: tuple[Array, Array]) -> Array:
-        return _length(family, ends._replace(start=points[0], end=points[1]), variables)
+        return path_length(family, ends._replace(start=points[0], end=points[1]), variables)
 
     smooth = jnp.asarray(True)
     points = (ends.start, ends.end)
     for number, (point, slope) in enumerate(zip(points, jax.grad(length)(points), strict=True)):
         line = point - family.chart(ends.surface, *shape[2 * number : 2 * number + 2])
-        along = jnp.sqrt(jnp.sum(line**2) + _SMALLEST_LENGTH**2)
+        along = jnp.sqrt(jnp.sum(line**2) + SMALLEST_LENGTH**2)
         kink = jnp.sqrt(jnp.sum((slope - line / along) ** 2))
         smooth &= (kink < _STRAIGHT) | (along < _SHORTEST_LINE)
     return smooth
-
-
-def _distance(one: Float[Array, " 3"], other: Float[Array, " 3"]) -> Float[Array, ""]:
-    return jnp.sqrt(jnp.sum((one - other) ** 2) + _SMALLEST_LENGTH**2)
-
-
-def _shape(family: Family, ends: Ends, variables: Float[Array, " variable"]) -> Float[Array, " shape"]:
-    """Coordinates of the curve's first and last point, and the coefficients."""
-    return jnp.concatenate(
-        [
-            family.tangent(ends.surface, ends.start, ends.at_start, variables[0]),
-            family.tangent(ends.surface, ends.end, ends.at_end, variables[1]),
-            variables[2:],
-        ]
-    )
-
-
-def _curve_length(family: Family, ends: Ends, shape: Float[Array, " shape"]) -> Float[Array, ""]:
-    one, other, one_slope, other_slope = jnp.moveaxis(jnp.asarray(_SHAPES) @ shape, 1, 0)
-    left, right = family.factors(ends.surface, one, other)
-    velocity = jnp.stack(
-        [
-            left[axis][1] * right[axis][0] * one_slope + left[axis][0] * right[axis][1] * other_slope
-            for axis in range(3)
-        ]
-    )
-    velocity = family.matrix(ends.surface) @ velocity
-    return jnp.asarray(_WEIGHTS) @ jnp.sqrt(jnp.sum(velocity**2, axis=0) + _SMALLEST_LENGTH**2)
-
-
-def _speeds(
-    family: Family, surface: Any, local: Float[Array, "node 4"]
-) -> tuple[Float[Array, " node"], list[Float[Array, " node"]], list[Float[Array, " node"]]]:
-    """Compute speeds along the curve's parameter, and their first and second (`_PAIRS`) derivatives.
-
-    Derivatives are by the local numbers: both coordinates and their slopes.
-    """
-    one, other, one_slope, other_slope = jnp.moveaxis(local, 1, 0)
-    left, right = family.factors(surface, one, other)
-    matrix = family.matrix(surface)
-    metric = matrix.T @ matrix
-
-    def partial(first: int, second: int) -> list[Float[Array, " node"]]:
-        return [left[axis][first] * right[axis][second] for axis in range(3)]
-
-    def along(first: int, second: int) -> list[Float[Array, " node"]]:
-        """Differentiate the velocity, from orders of differentiation by both coordinates."""
-        ahead, aside = partial(first + 1, second), partial(first, second + 1)
-        return [p * one_slope + q * other_slope for p, q in zip(ahead, aside, strict=True)]
-
-    def product(one: list[Array], other: list[Array]) -> Array:
-        return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
-
-    def weighted(vector: list[Array]) -> list[Array]:
-        return [product(list(metric[row]), vector) for row in range(3)]
-
-    velocity = along(0, 0)
-    firsts = [along(1, 0), along(0, 1), partial(1, 0), partial(0, 1)]
-    seconds = {
-        (0, 0): along(2, 0),
-        (0, 1): along(1, 1),
-        (1, 1): along(0, 2),
-        (0, 2): partial(2, 0),
-        (0, 3): partial(1, 1),
-        (1, 2): partial(1, 1),
-        (1, 3): partial(0, 2),
-    }
-    weighted_velocity = weighted(velocity)
-    weighted_firsts = [weighted(vector) for vector in firsts]
-    speed = jnp.sqrt(product(velocity, weighted_velocity) + _SMALLEST_LENGTH**2)
-    inverse = 1.0 / speed
-    slopes = [product(vector, weighted_velocity) * inverse for vector in firsts]
-    bends = []
-    for first, second in _PAIRS:
-        bend = product(firsts[first], weighted_firsts[second])
-        if (first, second) in seconds:
-            bend = bend + product(seconds[first, second], weighted_velocity)
-        bends.append((bend - slopes[first] * slopes[second]) * inverse)
-    return speed, slopes, bends
-
-
-def _length(family: Family, ends: Ends, variables: Float[Array, " variable"]) -> Float[Array, ""]:
-    shape = _shape(family, ends, variables)
-    lines = (
-        _distance(family.chart(ends.surface, *shape[2 * at : 2 * at + 2]), point)
-        for at, point in enumerate((ends.start, ends.end))
-    )
-    return _curve_length(family, ends, shape) + sum(lines)
-
-
-def _gradient(family: Family, ends: Ends, variables: Float[Array, " variable"]) -> Float[Array, " variable"]:
-    return jax.grad(lambda one: _length(family, ends, one))(variables)
-
-
-def _expansion(
-    family: Family, ends: Ends, variables: Float[Array, " variable"]
-) -> tuple[Float[Array, ""], Float[Array, " variable"], Float[Array, "variable variable"]]:
-    """Length of the path, and its first and second derivatives by the variables.
-
-    The speed at a node depends on four numbers, which are linear in the curve's shape. Second derivatives by
-    these few numbers are much cheaper than those by all variables.
-    """
-
-    def at_end(variable: Array, point: Array, choice: Any) -> Array:
-        place = family.tangent(ends.surface, point, choice, variable)
-        return jnp.append(place, _distance(family.chart(ends.surface, *place), point))
-
-    def of_end(variable: Array, point: Array, choice: Any) -> tuple[Array, Array, Array]:
-        def once(one: Array) -> tuple[Array, Array]:
-            return jax.jvp(lambda at: at_end(at, point, choice), (one,), (jnp.ones(()),))
-
-        (value, slope), (_, bend) = jax.jvp(once, (variable,), (jnp.ones(()),))
-        return value, slope, bend
-
-    points = jnp.stack([ends.start, ends.end])
-    choices = jax.tree.map(lambda *both: jnp.stack(both), ends.at_start, ends.at_end)
-    ends_of = list(zip(*jax.vmap(of_end)(variables[:2], points, choices), strict=True))
-    shape = jnp.concatenate([ends_of[0][0][:2], ends_of[1][0][:2], variables[2:]])
-
-    speed, slopes, bends = _speeds(family, ends.surface, jnp.asarray(_SHAPES) @ shape)
-    by_shape = jnp.concatenate(slopes) @ jnp.asarray(_BY_SHAPE)
-    twice_by_shape = (jnp.concatenate(bends) @ jnp.asarray(_TWICE_BY_SHAPE)).reshape(shape.size, shape.size)
-    # From the shape to the variables: its first four numbers depend on the variables of the ends.
-    chain = jnp.zeros((4 + COEFFICIENTS, VARIABLES)).at[4:, 2:].set(jnp.eye(COEFFICIENTS))
-    chain = chain.at[:2, 0].set(ends_of[0][1][:2]).at[2:4, 1].set(ends_of[1][1][:2])
-    gradient, hessian = by_shape @ chain, chain.T @ twice_by_shape @ chain
-    for number, (_, first, second) in enumerate(ends_of):
-        own = by_shape[2 * number : 2 * number + 2]
-        gradient = gradient.at[number].add(first[2])
-        hessian = hessian.at[number, number].add(second[2] + own @ second[:2])
-    value = jnp.asarray(_WEIGHTS) @ speed + ends_of[0][0][2] + ends_of[1][0][2]
-    return value, gradient, hessian
 
 
 def _eliminated(
@@ -453,7 +241,7 @@ def _stationary(
         return ~state.done & (state.steps <= _MAX_STEPS)
 
     def step(state: _Iterate) -> _Iterate:
-        found = _expansion(family, ends, state.trial)
+        found = length_expansion(family, ends, state.trial)
         first = state.steps == 0
         better = first | (state.downhill & ((found[0] <= state.value + _ROUND_OFF) | ~search.shortest))
         at, value, gradient, hessian = jax.tree.map(
@@ -508,7 +296,7 @@ def _stationary_jvp(primals, tangents):
     found, residual, constant = _stationary(*primals)
 
     def gradient(ends: Ends) -> Float[Array, " variable"]:
-        return _gradient(family, ends, found)
+        return length_gradient(family, ends, found)
 
     _, moved = eqx.filter_jvp(gradient, (ends,), (tangents[1],))
     # Reverse mode transposes the rule, which must be visibly linear in the tangents.
@@ -535,7 +323,7 @@ def _known_hessian_jvp(primals, tangents):
     family, ends, variables, _ = primals
 
     def hessian(ends: Ends, variables: Float[Array, " variable"]) -> Float[Array, "variable variable"]:
-        return _expansion(family, ends, variables)[2]
+        return length_expansion(family, ends, variables)[2]
 
     _, moved = eqx.filter_jvp(hessian, (ends, variables), (tangents[1], tangents[2]))
     return _known_hessian(*primals), moved

@@ -19,8 +19,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from wrapjax.geometry import cylinder
+from wrapjax.geometry.curve_length import Ends, Family, Jet
 from wrapjax.geometry.placed_surface import HALF_TURN, Contact, Decision, PlacedSurface, over_segments
-from wrapjax.geometry.surface_curve import Curve, Ends, Family, Jet, Search, find_curve, pull_at
+from wrapjax.geometry.surface_curve import Curve, Search, find_curve, pull_at
 from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt, stack_components, vector
 
 # Points of a segment, or of the ring, among which the nearest is searched, and halvings of the interval
