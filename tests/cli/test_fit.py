@@ -4,7 +4,9 @@ import json
 
 import numpy as np
 
+from tests.cli.conftest import run
 from tests.cli.folders import COORDINATES, MUSCLES, names, read_json
+from tests.subject.synthetic import write_subject
 from wrapjax.cli.fit import THRESHOLDS
 
 
@@ -107,3 +109,13 @@ def test_threads_are_set_for_every_library(subject, run, monkeypatch):
     monkeypatch.setattr("wrapjax.subject.subject.load_subject", read)
     run("check", subject, "--threads", "3")
     assert {seen[name] for name in ("NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")} == {"3"}
+
+
+def test_a_missing_folder_of_bones_is_named_before_anything_is_fitted(tmp_path):
+    subject, out = write_subject(tmp_path / "synthetic"), tmp_path / "fit"
+    outcome = run("fit", subject, "--out", out, "--bones", tmp_path / "nowhere")
+    assert (
+        outcome.status == 2
+        and "nowhere: expected a folder of bones' surfaces, found none" in outcome.progress
+    )
+    assert not out.exists()

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wrapjax.cli.common import DONE, AddCommand, add_undriven_options, positive_number, print_result
+from wrapjax.errors import InputError, Problem
 from wrapjax.io.files import check_output_folder
 from wrapjax.jax_setup import set_up_jax
 
@@ -106,6 +107,9 @@ def run(options: argparse.Namespace) -> int:
     from wrapjax.subject.subject import load_subject
 
     check_output_folder(options.out, options.force)
+    if options.bones is not None and not options.bones.is_dir():
+        # Before the polynomials are fitted, which takes minutes.
+        raise InputError(Problem(str(options.bones), "expected a folder of bones' surfaces, found none"))
     subject = apply_undriven_strategy(load_subject(options.subject), options.undriven, options.synergies)
     settings = {"processes": options.threads, "quiet": options.quiet}
     thresholds = {name: value for name in THRESHOLDS if (value := getattr(options, name)) is not None}

@@ -8,8 +8,8 @@ and the ring's angle the second one.
 
 A straight line of a path must not pass through the tube elsewhere, which it could where the hole is narrow.
 
-From an end inside the tube there is no path: the end then counts as on the surface, along which the path
-begins.
+From an end inside the tube there is no path: the end then counts as on the surface. The
+path's direction there is then not the slope of its length.
 """
 
 from __future__ import annotations

@@ -398,7 +398,7 @@ def _near_bones(
     samples: Float[np.ndarray, "sample wrap_parameter"],
     farther: float,
 ) -> Labels:
-    """Identify samples of a wrap that are no farther (m) from the bones than the nominal wrap."""
+    """Identify samples of a wrap whose distance from the bones exceeds the nominal one by no more (m)."""
     nominal = NOMINAL_PARAMETERS[None, : samples.shape[1]]
     surface = jax.tree.map(lambda leaf: leaf[0], surfaces_of([wrap]))
     kind = kind_of(wrap.kind, "hybrid")
