@@ -295,3 +295,30 @@ def test_unsupported_paths_are_named_in_errors(odd_model):
     muscles = tuple(replace(entry, path_kind="FunctionBasedPath") for entry in model.muscles)
     with pytest.raises(InputError, match="muscle 'flexor' has a FunctionBasedPath"):
         ExactPaths(replace(model, muscles=muscles), ["flexor"], ("hip", "knee"))
+
+
+@pytest.mark.parametrize("wrapping", [GEODESIC, PARITY], ids=["geodesic", "parity"])
+def test_an_inactive_point_on_another_body_changes_no_path(s1_left, wrapping):
+    """A conditional point out of its range belongs to no segment, whatever body it is on."""
+    model = describe_model(s1_left / "model.osim")
+    coordinates = ("knee_angle_l", "ankle_angle_l")
+    gastrocnemius = model.muscle("gasmed_l")
+    first, last = gastrocnemius.points
+    between = replace(last, kind="ConditionalPathPoint", active_range=("knee_angle_l", 3.0, 4.0))
+    longer = replace(gastrocnemius, points=(first, between, last))
+    changed = replace(model, muscles=tuple(longer if one is gastrocnemius else one for one in model.muscles))
+    poses = np.array([[0.0, -0.2], [0.3, 0.1], [1.2, 0.0]])
+    # Round surfaces as they are, and moved up so far that no segment reaches them.
+    parameters = np.stack([nominal_parameters(2)] * 2)
+    parameters[1, :, 1] = 1.0
+    expected, found = (
+        wrap_at_samples(
+            ExactPaths(one, ("gasmed_l",), coordinates).posed(poses)["gasmed_l"],
+            parameters,
+            wrapping,
+        )
+        for one in (model, changed)
+    )
+    assert (expected.on_surface > 0.0).any(axis=-1).tolist() == [[True] * 3, [False] * 3]
+    np.testing.assert_allclose(found.length, expected.length, atol=1e-13)
+    np.testing.assert_allclose(found.moment_arm, expected.moment_arm, atol=1e-13)

@@ -45,7 +45,10 @@ def test_line_is_the_engines_path(model, poses, muscle):
             if wrapped.margins.inside[0, number] < 0.0:
                 continue
             touched += len(route.contacts)
-            assert route.length == pytest.approx(float(wrapped.length[0, number]), abs=1e-6)
+            line = np.linalg.norm(np.diff(route.line, axis=0), axis=1).sum()
+            assert line == pytest.approx(float(wrapped.length[0, number]), abs=1e-6)
+            assert route.length == pytest.approx(float(wrapped.length[0, number]), abs=1e-13)
+            np.testing.assert_allclose(route.moment_arm, wrapped.moment_arm[0, number], atol=1e-12)
             for cylinder in route.wraps:
                 for line in (route.line, route.points):
                     distance = np.linalg.norm(cylinder.to_surface_frame(line)[:, :2], axis=1)

@@ -353,11 +353,10 @@ def points_and_bodies(
     names = dict.fromkeys([*points.bodies, *(name for name, _ in carriers)])
     numbers = {name: number for number, name in enumerate(names)}
     ranges = [_wrapping_range(muscle, wrap) for wrap in wraps]
-    merged = _with_inactive_merged(points)
-    moving = [point.motion is not None for point in muscle.points]
-
-    def repeated(values: list[int]) -> Int[Array, "pose entry"]:
-        return jnp.tile(jnp.asarray(values), (poses, 1))
+    merged, source = _with_inactive_merged(points), _active_source(points)
+    # An inactive point belongs to the body of the active point that it coincides with.
+    owner = np.array([numbers[name] for name in points.bodies])[source]
+    moving = np.array([point.motion is not None for point in muscle.points])
 
     def active_ends(end: str) -> Int[Array, "pose wrap"]:
         place = np.arange(len(points.bodies))
@@ -372,15 +371,15 @@ def points_and_bodies(
     return PointsAndBodies(
         position=jnp.asarray(merged.position),
         velocity=jnp.asarray(merged.velocity),
-        point_body=repeated([numbers[name] for name in points.bodies]),
-        rotation=jnp.stack([motion.rotation for _, motion in carriers], axis=1),
-        origin=jnp.stack([motion.origin for _, motion in carriers], axis=1),
-        angular=jnp.stack([motion.angular for _, motion in carriers], axis=2),
-        linear=jnp.stack([motion.linear for _, motion in carriers], axis=2),
-        wrap_body=repeated([numbers[name] for name, _ in carriers]),
+        point_body=jnp.asarray(owner),
+        rotation=jnp.asarray(np.stack([motion.rotation for _, motion in carriers], axis=1)),
+        origin=jnp.asarray(np.stack([motion.origin for _, motion in carriers], axis=1)),
+        angular=jnp.asarray(np.stack([motion.angular for _, motion in carriers], axis=2)),
+        linear=jnp.asarray(np.stack([motion.linear for _, motion in carriers], axis=2)),
+        wrap_body=jnp.asarray(np.tile([numbers[name] for name, _ in carriers], (poses, 1))),
         first_point=active_ends("first"),
         last_point=active_ends("last"),
-        moving=jnp.tile(jnp.asarray(moving), (poses, 1)) if any(moving) else None,
+        moving=jnp.asarray(moving[source]) if moving.any() else None,
     )
 
 
@@ -452,12 +451,17 @@ def _wrapping_range(muscle: Muscle, wrap: PathWrap) -> tuple[int, int]:
 
 def _with_inactive_merged(points: PathPoints) -> PathPoints:
     """Move inactive points to the active point before them or, at the path's beginning, after them."""
-    place = np.arange(points.active.shape[1])
-    before = np.maximum.accumulate(np.where(points.active, place, -1), axis=1)
-    source = np.where(before < 0, np.argmax(points.active, axis=1)[:, None], before)
+    source = _active_source(points)
     position = np.take_along_axis(points.position, source[:, :, None], axis=1)
     velocity = np.take_along_axis(points.velocity, source[:, None, :, None], axis=2)
     return replace(points, position=position, velocity=velocity)
+
+
+def _active_source(points: PathPoints) -> Int[np.ndarray, "pose point"]:
+    """Return the number of the active point to which each point is moved, its own if it is active."""
+    place = np.arange(points.active.shape[1])
+    before = np.maximum.accumulate(np.where(points.active, place, -1), axis=1)
+    return np.where(before < 0, np.argmax(points.active, axis=1)[:, None], before)
 
 
 def _eligible(

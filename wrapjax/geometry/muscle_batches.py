@@ -55,7 +55,7 @@ def muscle_batches(
     for key, members in groups.items():
         paths = [posed[name] for name in members]
         if key[0] == "several":
-            paths = _padded_alike(paths)
+            paths = padded_alike(paths)
         stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *paths)
         count = stacked.surfaces.radius.shape[1]
         numbers = np.zeros((len(members), count), dtype=int)
@@ -66,10 +66,18 @@ def muscle_batches(
     return tuple(batches)
 
 
-def _padded_alike(paths: list[PosedPath]) -> list[PosedPath]:
-    """Pad paths round several surfaces to the same numbers of points and surfaces."""
+def padded_alike(paths: Sequence[PosedPath], least_points: int = 0) -> list[PosedPath]:
+    """Pad paths round several surfaces to the same numbers of points and surfaces.
+
+    Parameters
+    ----------
+    paths
+        Paths with `PointsAndBodies`; the returned ones have the same kinds of surfaces, in any order.
+    least_points
+        Number of points to pad to at least.
+    """
     kinds = tuple(dict.fromkeys(kind for path in paths for kind in path.kinds))
-    most_points = max(_points_and_bodies(path).position.shape[1] for path in paths)
+    most_points = max(least_points, *(_points_and_bodies(path).position.shape[1] for path in paths))
     most_wraps = max(len(path.kinds) for path in paths)
     sized = any(path.surfaces.sizes is not None for path in paths)
     return [
@@ -90,7 +98,7 @@ def _points_and_bodies(path: PosedPath) -> PointsAndBodies:
     return path.path
 
 
-def _repeated(leaf: Array, axis: int, size: int) -> Array:
+def _repeated(leaf: Array | np.ndarray, axis: int, size: int) -> Array:
     """Repeat the last entry along an axis up to a size."""
     values = np.asarray(leaf)
     last = np.take(values, [-1], axis=axis)
@@ -101,10 +109,11 @@ def _repeated(leaf: Array, axis: int, size: int) -> Array:
 
 def _padded_path(path: PointsAndBodies, points: int, wraps: int) -> PointsAndBodies:
     known = path.first_point.shape[1]
-    moving = jnp.zeros(path.point_body.shape, bool) if path.moving is None else path.moving
+    moving = np.zeros(path.point_body.shape, bool) if path.moving is None else path.moving
     first = _repeated(path.first_point, 1, wraps)
-    last = _repeated(path.last_point, 1, wraps)
     # From a point to itself there is no segment that could wrap.
+    last = np.array(first)
+    last[:, :known] = path.last_point
     return PointsAndBodies(
         position=_repeated(path.position, 1, points),
         velocity=_repeated(path.velocity, 2, points),
@@ -115,12 +124,13 @@ def _padded_path(path: PointsAndBodies, points: int, wraps: int) -> PointsAndBod
         linear=_repeated(path.linear, 2, wraps),
         wrap_body=_repeated(path.wrap_body, 1, wraps),
         first_point=first,
-        last_point=last.at[:, known:].set(first[:, known:]),
+        last_point=jnp.asarray(last),
         moving=_repeated(moving, 1, points),
     )
 
 
 def _padded_surfaces(surfaces: Surface, wraps: int, sized: bool) -> Surface:
     if sized and surfaces.sizes is None:
-        surfaces = replace(surfaces, sizes=jnp.tile(surfaces.radius[:, None], (1, 3)))
+        radius = np.asarray(surfaces.radius)
+        surfaces = replace(surfaces, sizes=jnp.asarray(np.tile(radius[:, None], (1, 3))))
     return jax.tree.map(lambda leaf: _repeated(leaf, 0, wraps), surfaces)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import equinox as eqx
 import jax
@@ -13,27 +14,30 @@ from jaxtyping import Array, Bool, Float
 
 from wrapjax.geometry.engine import (
     ExactPaths,
+    PosedPath,
     kinds_of,
     nominal_parameters,
     points_and_bodies,
+    straight_path,
     surfaces_of,
 )
-from wrapjax.geometry.kinematics import CoordinateValues, body_motion, path_points
+from wrapjax.geometry.kinematics import CoordinateValues, PathPoints, body_motion, path_points
 from wrapjax.geometry.model_description import ModelDescription
-from wrapjax.geometry.path_on_cylinders import PointsAndBodies
+from wrapjax.geometry.muscle_batches import padded_alike
 from wrapjax.geometry.several_wraps import Route, shortest_route
 from wrapjax.geometry.surface_arc import geodesic_arc
-from wrapjax.geometry.wrap_methods import CYLINDER, Kinds
-from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, Surface
+from wrapjax.geometry.wrap_methods import CYLINDER
+from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, StraightPath, Surface
 
 # Largest step on an arc (rad), for which the line is shorter than the arc by a few parts per million.
 _STEP = np.deg2rad(0.5)
-# Paths are padded to this number of points, so that all with as many surfaces share a compiled program.
+# Paths are padded to this number of points at least, so that separate calls share a compiled program, too.
 _POINTS = 8
 # Poses of one batch: all batches share a compiled program, so that it is compiled once.
 _BATCH = 101
 
 Points = Float[np.ndarray, "vertex 3"]
+WrapParameters = Float[np.ndarray, "wrap wrap_parameter"]
 
 
 @dataclass(frozen=True)
@@ -88,17 +92,18 @@ class RoutedPath:
         First and last point of the contact with each surface that the path touches, by the wrap's name.
     wraps
         All surfaces that the path may wrap round, in its order, touched or not.
+    length
+        Length of the path, m; that of the line is less by a few parts per million of the arcs.
+    moment_arm
+        -dL/dq by the coordinates of the pose, m (m/m).
     """
 
     line: Points
     points: Float[np.ndarray, "point 3"]
     contacts: dict[str, Float[np.ndarray, "2 3"]]
     wraps: tuple[PlacedWrap, ...]
-
-    @property
-    def length(self) -> float:
-        """Length of the line, m."""
-        return float(np.linalg.norm(np.diff(self.line, axis=0), axis=1).sum())
+    length: float
+    moment_arm: Float[np.ndarray, " coordinate"]
 
 
 def route_path(
@@ -106,7 +111,7 @@ def route_path(
     muscle: str,
     coordinates: Sequence[str],
     pose: Float[np.ndarray, " coordinate"],
-    parameters: Float[np.ndarray, "wrap wrap_parameter"] | None = None,
+    parameters: WrapParameters | None = None,
 ) -> RoutedPath:
     """Compute the course of a muscle's shortest path in one pose.
 
@@ -133,93 +138,103 @@ def route_path(
     From a path point inside a surface there is no shortest path. The engine then treats the point as on the
     surface, and the line has a gap there.
     """
-    return route_paths(model, muscle, coordinates, np.asarray(pose)[None], parameters)[0]
+    own = {} if parameters is None else {muscle: parameters}
+    return route_paths(model, (muscle,), coordinates, np.asarray(pose)[None], own)[muscle][0]
 
 
 def route_paths(
     model: ModelDescription,
-    muscle: str,
+    muscles: Sequence[str],
     coordinates: Sequence[str],
     poses: Float[np.ndarray, "pose coordinate"],
-    parameters: Float[np.ndarray, "wrap wrap_parameter"] | None = None,
-) -> list[RoutedPath]:
-    """Compute the course of a muscle's shortest path in many poses; see `route_path`."""
-    wraps = ExactPaths(model, (muscle,), coordinates).wraps_of(muscle)
-    path = model.muscle(muscle)
-    objects = [model.wrap(name) for name in wraps]
+    parameters: Mapping[str, WrapParameters] = MappingProxyType({}),
+) -> dict[str, list[RoutedPath]]:
+    """Compute the course of muscles' shortest paths in many poses.
+
+    All paths with surfaces are padded to the same numbers of points and surfaces, so that they share a
+    compiled program.
+
+    Parameters
+    ----------
+    muscles
+        Names of the muscles.
+    poses
+        Values of ``coordinates`` (rad or m).
+    parameters
+        Wrap parameters by muscle, as for `route_path`; by default nominal.
+
+    Other parameters, and errors, are those of `route_path`.
+
+    Returns
+    -------
+    dict
+        Paths in all poses, by muscle.
+    """
+    engine = ExactPaths(model, muscles, coordinates)
+    wraps = {name: [model.wrap(wrap) for wrap in engine.wraps_of(name)] for name in muscles}
     values = CoordinateValues(model, coordinates, np.asarray(poses))
-    motion = body_motion(values, {point.body for point in path.points} | {wrap.body for wrap in objects})
-    points = path_points(path.points, motion, values)
-    if not wraps:
-        lines = [position[active] for position, active in zip(points.position, points.active, strict=True)]
-        return [RoutedPath(line, line, {}, ()) for line in lines]
-    carriers = [(wrap.body, motion[wrap.body]) for wrap in objects]
-    entries = [entry for entry in path.wraps if entry.wrap in wraps]
-    if parameters is None:
-        parameters = nominal_parameters(len(wraps))
-    kinds = kinds_of(objects, entries)
-    routes = _routes(
-        _padded(points_and_bodies(path, points, carriers, entries)),
-        surfaces_of(objects),
-        parameters,
-        kinds,
-    )
-    routed = []
-    for pose, active in enumerate(points.active):
-        route = jax.tree.map(lambda leaf: leaf[pose], routes)  # noqa: B023
-        named = zip(wraps, kinds, strict=True)
-        placed = tuple(_placed_wrap(route, number, *one) for number, one in enumerate(named))
-        routed.append(_routed(route, active, placed))
-    return routed
+    bodies = {point.body for name in muscles for point in model.muscle(name).points}
+    motion = body_motion(values, bodies | {wrap.body for own in wraps.values() for wrap in own})
+    points = {name: path_points(model.muscle(name).points, motion, values) for name in muscles}
+    wrapping, kinds = [name for name in muscles if wraps[name]], {}
+    posed = []
+    for name in wrapping:
+        path = model.muscle(name)
+        entries = [entry for entry in path.wraps if entry.wrap in engine.wraps_of(name)]
+        kinds[name] = kinds_of(wraps[name], entries)
+        carriers = [(wrap.body, motion[wrap.body]) for wrap in wraps[name]]
+        bodies_and_points = points_and_bodies(path, points[name], carriers, entries)
+        posed.append(PosedPath(bodies_and_points, surfaces_of(wraps[name]), kinds[name]))
+    routed = {}
+    for name in muscles:
+        if not wraps[name]:
+            straight = straight_path(model.muscle(name), points[name], motion["ground"], None)
+            routed[name] = _straight(points[name], straight)
+    for name, padded in zip(wrapping, padded_alike(posed, _POINTS) if posed else (), strict=True):
+        own = parameters.get(name, nominal_parameters(len(wraps[name])))
+        routes = _routes(padded, own)
+        named = list(zip(engine.wraps_of(name), kinds[name], strict=True))
+        routed[name] = [
+            _routed(jax.tree.map(lambda leaf: leaf[pose], routes), active, named)  # noqa: B023
+            for pose, active in enumerate(points[name].active)
+        ]
+    return {name: routed[name] for name in muscles}
 
 
-def _routes(
-    path: PointsAndBodies,
-    surfaces: Surface,
-    parameters: Float[np.ndarray, "wrap wrap_parameter"],
-    kinds: Kinds,
-) -> Route:
+def _straight(points: PathPoints, path: StraightPath) -> list[RoutedPath]:
+    """Join the active points of a path without surfaces, in every pose."""
+    lines = [position[active] for position, active in zip(points.position, points.active, strict=True)]
+    values = zip(lines, np.asarray(path.length), np.asarray(path.moment_arm), strict=True)
+    return [RoutedPath(line, line, {}, (), float(length), arm) for line, length, arm in values]
+
+
+def _routes(posed: PosedPath, parameters: WrapParameters) -> Route:
     """Compute the course in every pose, in batches; arrays of NumPy whose first axis is ``pose``."""
-    poses = path.position.shape[0]
+    poses = jax.tree.leaves(posed.path)[0].shape[0]
     # Other sizes of batches and other numbers of parameters would need other programs.
-    complete = jnp.asarray(_all_parameters(parameters))
+    complete = _all_parameters(parameters, posed.surfaces.radius.shape[0])
     parts = []
     for first in range(0, poses, _BATCH):
         rows = np.minimum(np.arange(first, first + _BATCH), poses - 1)
-        batch = jax.tree.map(lambda leaf: leaf[rows], path)  # noqa: B023
-        parts.append(jax.tree.map(np.asarray, _route_batch(batch, surfaces, complete, kinds)))
+        path = jax.tree.map(lambda leaf: np.asarray(leaf)[rows], posed.path)  # noqa: B023
+        batch = replace(posed, path=path)
+        parts.append(jax.tree.map(np.asarray, _route_batch(batch, jnp.asarray(complete))))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:poses], *parts)
 
 
 def _all_parameters(
-    parameters: Float[np.ndarray, "wrap wrap_parameter"],
-) -> Float[np.ndarray, "wrap all_parameters"]:
-    """Append nominal values of the wrap parameters that are missing at the end."""
-    missing = NOMINAL_PARAMETERS[parameters.shape[1] :]
-    return np.concatenate([parameters, np.tile(missing, (len(parameters), 1))], axis=1)
+    parameters: WrapParameters, wraps: int
+) -> Float[np.ndarray, "padded_wrap all_parameters"]:
+    """Append nominal values of the wrap parameters that are missing, and of padding surfaces."""
+    complete = np.tile(NOMINAL_PARAMETERS, (wraps, 1))
+    complete[: len(parameters), : parameters.shape[1]] = parameters
+    return complete
 
 
 @eqx.filter_jit
-def _route_batch(
-    path: PointsAndBodies, surfaces: Surface, parameters: Float[Array, "wrap wrap_parameter"], kinds: Kinds
-) -> Route:
-    placed = jax.vmap(Surface.placed)(surfaces, parameters)
-    return jax.vmap(lambda pose: shortest_route(pose, placed, kinds))(path)
-
-
-def _padded(path: PointsAndBodies) -> PointsAndBodies:
-    """Pad the points to `_POINTS` by copies of the last point."""
-    missing = max(0, _POINTS - path.position.shape[1])
-
-    def padded(leaf: Array, axis: int) -> Array:
-        last = jnp.take(leaf, jnp.array([-1]), axis=axis)
-        return jnp.concatenate([leaf, jnp.repeat(last, missing, axis=axis)], axis=axis)
-
-    return eqx.tree_at(
-        lambda own: (own.position, own.velocity, own.point_body),
-        path,
-        (padded(path.position, 1), padded(path.velocity, 2), padded(path.point_body, 1)),
-    )
+def _route_batch(posed: PosedPath, parameters: Float[Array, "wrap wrap_parameter"]) -> Route:
+    placed = jax.vmap(Surface.placed)(posed.surfaces, parameters)
+    return jax.vmap(lambda pose: shortest_route(pose, placed, posed.kinds, posed.numbers))(posed.path)
 
 
 def _placed_wrap(route: Route, number: int, name: str, kind: str) -> PlacedWrap:
@@ -233,10 +248,14 @@ def _placed_wrap(route: Route, number: int, name: str, kind: str) -> PlacedWrap:
     return PlacedWrap(name, axes_of, center, float(one.radius), float(one.half_length), shape, sizes)
 
 
-def _routed(route: Route, active: Bool[np.ndarray, " point"], wraps: tuple[PlacedWrap, ...]) -> RoutedPath:
-    """Join the knots to a line, with an arc between the two knots of one contact."""
+def _routed(route: Route, active: Bool[np.ndarray, " point"], named: Sequence[tuple[str, str]]) -> RoutedPath:
+    """Join the knots to a line, with an arc between the two knots of one contact.
+
+    ``named`` are names and kinds of the surfaces.
+    """
+    wraps = tuple(_placed_wrap(route, number, *one) for number, one in enumerate(named))
     position = np.asarray(route.position)
-    first_contact = len(position) - 2 * len(wraps)
+    first_contact = len(position) - 2 * len(route.on_surface)
     pieces, contacts = [], {}
     for knot in route.knots[route.knots >= 0].tolist():
         wrap, leaving = divmod(knot - first_contact, 2)
@@ -253,7 +272,8 @@ def _routed(route: Route, active: Bool[np.ndarray, " point"], wraps: tuple[Place
             else:
                 pieces.append(_geodesic(surface, ends, length, pieces[-1][-1]))
     points = position[: active.size][active]
-    return RoutedPath(np.concatenate(pieces), points, contacts, wraps)
+    length, arm = float(route.path.length), np.asarray(route.path.moment_arm)
+    return RoutedPath(np.concatenate(pieces), points, contacts, wraps, length, arm)
 
 
 def _arc(cylinder: PlacedWrap, ends: Float[np.ndarray, "2 3"], length: float) -> Points:

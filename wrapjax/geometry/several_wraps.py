@@ -62,6 +62,8 @@ class Route(NamedTuple):
     on_surface: Float[Array, " wrap"]
     #: Surfaces in ground's frame.
     surfaces: PlacedSurface
+    #: Length and moment arms.
+    path: WrappedPath
 
 
 def wrap_shortest(
@@ -83,21 +85,23 @@ def wrap_shortest(
     numbers
         Number of each surface's kind, by which paths round different kinds of surfaces share a program.
     """
+    return shortest_route(path, surfaces, kinds, numbers).path
+
+
+def shortest_route(
+    path: PointsAndBodies, surfaces: PlacedSurface, kinds: Kinds = (), numbers: Numbers = None
+) -> Route:
+    """Compute the course of the shortest path round any number of surfaces, in one pose.
+
+    Parameters are those of `wrap_shortest`.
+    """
     kinds = _known(kinds, surfaces)
     route, contacts = _shortest_path(path, surfaces, kinds, numbers)
     placed = surfaces_in_ground(path, surfaces)
     clearances = point_clearances(path, placed, kinds, numbers)
     moving = None if path.moving is None else jnp.append(path.moving, jnp.zeros(2 * len(placed.radius), bool))
-    return _wrapped_path(route, path, placed, clearances, contacts.off_end, contacts.long_wrap, moving)
-
-
-def shortest_route(path: PointsAndBodies, surfaces: PlacedSurface, kinds: Kinds = ()) -> Route:
-    """Compute the course of the shortest path round any number of surfaces, in one pose.
-
-    Parameters are those of `wrap_shortest`.
-    """
-    route, _ = _shortest_path(path, surfaces, _known(kinds, surfaces), None)
-    return Route(route.knots, route.position, route.on_surface, surfaces_in_ground(path, surfaces))
+    wrapped = _wrapped_path(route, path, placed, clearances, contacts.off_end, contacts.long_wrap, moving)
+    return Route(route.knots, route.position, route.on_surface, placed, wrapped)
 
 
 def wrap_in_parity(

@@ -14,11 +14,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from wrapjax.errors import InputError
-from wrapjax.geometry.engine import ExactPaths, wrap_at_samples
+from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.kinematics import BodyMotion, CoordinateValues, body_motion
 from wrapjax.geometry.model_description import Joint, ModelDescription, Pose
 from wrapjax.geometry.routed_path import RoutedPath, route_paths
-from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, WrappedPath
+from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS
 from wrapjax.report.model_view.wrap_shapes import WrapShape, wrap_shape
 
 # Every so many-th vertex of a contact is drawn: arcs of 6 degrees, off a circle of 50 mm by less than 0.1 mm.
@@ -230,7 +230,7 @@ def build_scene(
         axes=tuple(_joint_axes(model, muscles, coordinates, bodies, joints_before)),
         placements=tuple(placements),
         wraps={name: shape for name, shape in shapes.items() if shape},
-        paths=dict(_muscle_paths(engine, poses, placements)),
+        paths=_muscle_paths(engine, poses, placements),
         sticks=stick_bones(model, muscles, bodies),
         notes=tuple(notes),
     )
@@ -267,30 +267,27 @@ def _wrap_shapes(
 
 def _muscle_paths(
     engine: ExactPaths, poses: Float[np.ndarray, "frame coordinate"], placements: Sequence[Placement]
-) -> Iterable[tuple[str, tuple[MusclePath, ...]]]:
-    posed = engine.posed(poses)
-    for name in engine.muscles:
-        wraps = engine.wraps_of(name)
-        moved = any(wrap in one.parameters for one in placements for wrap in wraps)
-        own = []
-        for placement in placements[: None if moved else 1]:
-            parameters = placement.of(wraps)
-            wrapped = wrap_at_samples(posed[name], parameters[None])
-            routes = route_paths(engine.model, name, engine.coordinates, poses, parameters)
-            own.append(_muscle_path(routes, wraps, wrapped))
-        yield name, tuple(own)
+) -> dict[str, tuple[MusclePath, ...]]:
+    """Compute all paths in the first placement, and in the others those of muscles with moved wraps."""
+    wraps_of = {name: engine.wraps_of(name) for name in engine.muscles}
+    moved = {wrap for placement in placements for wrap in placement.parameters}
+    own: dict[str, list[MusclePath]] = {name: [] for name in engine.muscles}
+    for number, placement in enumerate(placements):
+        shown = [name for name in engine.muscles if not number or moved.intersection(wraps_of[name])]
+        parameters = {name: placement.of(wraps_of[name]) for name in shown}
+        routes = route_paths(engine.model, shown, engine.coordinates, poses, parameters)
+        for name in shown:
+            own[name].append(_muscle_path(routes[name], wraps_of[name]))
+    return {name: tuple(found) for name, found in own.items()}
 
 
-def _muscle_path(
-    routes: Sequence[RoutedPath],
-    wraps: tuple[str, ...],
-    wrapped: WrappedPath,
-) -> MusclePath:
+def _muscle_path(routes: Sequence[RoutedPath], wraps: tuple[str, ...]) -> MusclePath:
     parts = [_drawn(route, wraps) for route in routes]
     vertices, contact, is_point = (np.concatenate(column) for column in zip(*parts, strict=True))
     counts = np.array([len(part[0]) for part in parts])
-    length, arm = np.asarray(wrapped.length[0]), np.asarray(wrapped.moment_arm[0]).T
-    return MusclePath(counts, vertices, contact, is_point, wraps, length, arm)
+    length = np.array([route.length for route in routes])
+    moment_arm = np.stack([route.moment_arm for route in routes], axis=1)
+    return MusclePath(counts, vertices, contact, is_point, wraps, length, moment_arm)
 
 
 def _drawn(
