@@ -296,6 +296,6 @@ def _geodesic(
 ) -> Points:
     """Sample the arc of a contact with another surface, which continues the straight line from ``before``."""
     first, last, start = surface.to_surface_frame(np.stack([*ends, before]))
-    steps = max(1, int(np.ceil(length / (surface.radius * _STEP))))
-    arc = geodesic_arc(surface.kind, surface.sizes, np.stack([first, last]), first - start, length, steps)
+    vertices = max(1, int(np.ceil(length / (surface.radius * _STEP))))
+    arc = geodesic_arc(surface.kind, surface.sizes, np.stack([first, last]), first - start, length, vertices)
     return surface.to_ground_frame(arc)

@@ -6,7 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
+from scipy.interpolate import CubicHermiteSpline
 
+# Vertices per step of the integration.
+_VERTICES = 2
 # Length (m) below which a vector has no direction.
 _NO_LENGTH = 1e-9
 
@@ -17,13 +20,13 @@ def geodesic_arc(
     ends: Float[np.ndarray, "2 3"],
     direction: Float[np.ndarray, " 3"],
     length: float,
-    steps: int,
+    vertices: int,
 ) -> Float[np.ndarray, "vertex 3"]:
     """Sample the geodesic that leaves a point of a surface in a given direction.
 
     The equation ``x'' = -(x' H x') g / |g|^2``, with gradient g and Hessian H of the surface's function, is
-    integrated by the classical Runge-Kutta method. The remaining distance from the known last point, some
-    micrometers, is distributed over the arc.
+    integrated by the classical Runge-Kutta method, and interpolated by cubic polynomials with its tangents.
+    The remaining distance from the known last point, some micrometers, is distributed over the arc.
 
     Parameters
     ----------
@@ -37,8 +40,8 @@ def geodesic_arc(
         Direction at the first point, of any length. If it has none, the arc starts towards the last point.
     length
         Length of the arc, m.
-    steps
-        Number of steps.
+    vertices
+        Number of vertices after the first.
     """
     first, last = ends
     if np.linalg.norm(direction) < _NO_LENGTH:
@@ -54,17 +57,19 @@ def geodesic_arc(
         gradient, bend = _derivatives(kind, sizes, state[0], state[1])
         return np.stack([state[1], -bend * gradient / (gradient @ gradient)])
 
-    state, step = np.stack([first, tangent / size]), length / steps
-    points = [first]
+    steps = -(-vertices // _VERTICES)
+    states, step = [np.stack([first, tangent / size])], length / steps
     for _ in range(steps):
+        state = states[-1]
         one = rate(state)
         two = rate(state + 0.5 * step * one)
         three = rate(state + 0.5 * step * two)
         four = rate(state + step * three)
-        state = state + step / 6.0 * (one + 2.0 * two + 2.0 * three + four)
-        points.append(state[0])
-    share = np.linspace(0.0, 1.0, steps + 1)[:, None]
-    return np.stack(points) + share * (last - points[-1])
+        states.append(state + step / 6.0 * (one + 2.0 * two + 2.0 * three + four))
+    points, tangents = np.stack(states, axis=1)
+    share = np.linspace(0.0, 1.0, vertices + 1)
+    arc = CubicHermiteSpline(np.linspace(0.0, 1.0, steps + 1), points, length * tangents)(share)
+    return arc + share[:, None] * (last - points[-1])
 
 
 def _derivatives(
