@@ -7,10 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from validation.wrapping.single_path import COORDINATES, SurfaceDraw, write_model
 from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.several_wraps import solve_without_lapack
 from wrapjax.geometry.wrapped_paths import wrapped_paths
 from wrapjax.osim.model import describe_model
+from wrapjax.path_sources.muscle_paths import muscle_paths
 
 # Batched LAPACK routines that run at once may wait for each other forever.
 LAPACK = ("triangular_solve", "lu", "cholesky", "eigh", "qr", "svd")
@@ -64,3 +66,25 @@ def test_paths_need_no_lapack(s1_left):
     program = str(jax.make_jaxpr(second)(jnp.full((1, 12), 1e-3)))
     assert "custom_linear_solve" in program
     assert not [name for name in LAPACK if f" {name}[" in program]
+
+
+def test_where_contacts_with_overlapping_surfaces_do_not_converge_a_path_is_not_regular(tmp_path):
+    """Of all paths that count as regular, moment arms are -dL/dq."""
+    surfaces = [
+        SurfaceDraw("ellipsoid", (0.029, 0.022, 0.026), "x"),
+        SurfaceDraw(
+            "cylinder", (0.008, 0.3), "x", center=(0.0143, -0.0191, 0.0205), angles=(0.276, -0.846, -0.648)
+        ),
+    ]
+    write_model(surfaces, tmp_path / "model.osim")
+    paths = muscle_paths(tmp_path / "model.osim", coordinates=COORDINATES)
+    generator = np.random.default_rng(0)
+    poses = np.tile([-0.08, 0.02, 0.0, 0.08, 0.0, 0.0], (100, 1)) + 0.02 * generator.normal(size=(100, 6))
+    along, step = generator.normal(size=poses.shape), 1e-7
+    found = paths(poses)
+    slope = (paths(poses + step * along).length - paths(poses - step * along).length)[:, 0] / (2.0 * step)
+    difference = np.abs(slope + np.einsum("pc,pc->p", along, found.moment_arm[:, :, 0]))
+    regular = np.asarray(found.regular)[:, 0]
+    assert 10 < regular.sum() < 90
+    assert difference[regular].max() < 1e-6
+    assert (difference[~regular] > 1e-3).any()

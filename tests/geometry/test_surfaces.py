@@ -347,10 +347,10 @@ def test_the_curve_has_few_variables():
 )
 def test_of_several_ways_through_a_torus_the_shortest_is_found(sizes, start, end):
     """Two ways are shorter than all their neighbors, and differ by a quarter of a millimeter."""
-    functions = [through_torus(chords) for chords in CHORDS]
+    polylines = [through_torus(chords) for chords in CHORDS]
     ends = np.array([*start, *end])
     length, _, on_surface = engine_paths(SurfaceDraw("torus", sizes), ends[None])
-    expected = torus_oracle(ends[:3], ends[3:], np.array([*sizes, sizes[1]]), functions)
+    expected = torus_oracle(ends[:3], ends[3:], np.array([*sizes, sizes[1]]), polylines)
     assert on_surface[0] > 0.01
     assert length[0] == pytest.approx(expected, abs=1e-6)
 

@@ -2,9 +2,11 @@
 
 ``python -m validation.wrapping.shortest_paths`` draws 200 paths round spheres, ellipsoids and tori each
 (``--count N``, ``--kinds KIND ...``). The oracle's path is a straight line to a tangent point, a polyline of
-40 or 80 chords with its nodes on the surface, and a straight line from another tangent point. L-BFGS-B
-minimises its length over both tangent points and all nodes, from paths on several sides; the shortest result
-is extrapolated to infinitely many chords, of which the length's error is proportional to the inverse square.
+80 chords with its nodes on the surface, and a straight line from another tangent point. L-BFGS-B minimises
+its length over both tangent points and all nodes, first with 20 chords from paths on several sides, then with
+40 and 80 from the shortest two; the result is extrapolated to infinitely many chords, of which the length's
+error is proportional to the inverse square. Polylines through a torus whose straight lines cut the tube are
+left out.
 Printed are the differences in length, and differences of moment arms from central differences of the
 engine's own length.
 """
@@ -14,7 +16,8 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -28,7 +31,7 @@ from wrapjax.jax_setup import set_up_jax
 #: Largest difference of length that counts as agreement, m.
 LIMIT = 1e-6
 _KINDS = ("sphere", "ellipsoid", "torus")
-CHORDS = (40, 80)
+CHORDS = (20, 40, 80)
 # Angles about the segment at which searches begin.
 _STARTS = np.arange(4) * 0.5 * np.pi
 # Step of central differences, m.
@@ -36,9 +39,17 @@ _STEP = 1e-6
 _Points = Float[np.ndarray, "point 3"]
 
 
-def _on_ellipsoid(chords: int) -> Callable[..., Any]:
-    """Length of a polyline over an ellipsoid as a function of its variables, with the gradient."""
-    import jax
+class Polyline(NamedTuple):
+    """A path over a surface as a function of its variables, the ends and the sizes."""
+
+    #: Length (m) and its gradient.
+    length: Callable[..., Any]
+    #: Points on the surface, m.
+    points: Callable[..., Any]
+
+
+def _on_ellipsoid(chords: int) -> Polyline:
+    """Polyline over an ellipsoid, from angles on both ends' horizons and points of a sphere."""
     import jax.numpy as jnp
 
     def tangent(angle, point):
@@ -51,23 +62,32 @@ def _on_ellipsoid(chords: int) -> Callable[..., Any]:
         around = jnp.cos(angle) * one + jnp.sin(angle) * other
         return point / square + jnp.sqrt(1.0 - 1.0 / square) * around
 
-    def length(variables, start, end, sizes):
+    def points(variables, start, end, sizes):
         nodes = variables[2:].reshape(chords - 1, 3)
         nodes = nodes / jnp.linalg.norm(nodes, axis=1)[:, None]
         first, last = tangent(variables[0], start / sizes), tangent(variables[1], end / sizes)
-        points = jnp.concatenate([first[None], nodes, last[None]]) * sizes
-        curve = jnp.sqrt(chords * jnp.sum(jnp.diff(points, axis=0) ** 2))
-        return jnp.linalg.norm(points[0] - start) + curve + jnp.linalg.norm(points[-1] - end)
+        return jnp.concatenate([first[None], nodes, last[None]]) * sizes
 
-    return jax.jit(jax.value_and_grad(length))
+    return _polyline(points, chords)
 
 
-def through_torus(chords: int) -> Callable[..., Any]:
-    """Length of a polyline over a torus, from angles about the tube (zero at its inner edge) and the ring."""
+def _polyline(points: Callable[..., Any], chords: int) -> Polyline:
     import jax
     import jax.numpy as jnp
 
     def length(variables, start, end, sizes):
+        found = points(variables, start, end, sizes)
+        curve = jnp.sqrt(chords * jnp.sum(jnp.diff(found, axis=0) ** 2))
+        return jnp.linalg.norm(found[0] - start) + curve + jnp.linalg.norm(found[-1] - end)
+
+    return Polyline(jax.jit(jax.value_and_grad(length)), jax.jit(points))
+
+
+def through_torus(chords: int) -> Polyline:
+    """Polyline over a torus, from angles about the tube (zero at its inner edge) and the ring."""
+    import jax.numpy as jnp
+
+    def points(variables, start, end, sizes):
         ring, tube = sizes[0], sizes[1]
 
         def tangent(angle, point, sign):
@@ -79,23 +99,27 @@ def through_torus(chords: int) -> Callable[..., Any]:
         ends = tangent(variables[0], start, sign), tangent(variables[1], end, -sign)
         angles = jnp.concatenate([ends[0][None], variables[2:].reshape(-1, 2), ends[1][None]])
         outward = ring - tube * jnp.cos(angles[:, 0])
-        points = jnp.stack(
-            [outward * jnp.cos(angles[:, 1]), outward * jnp.sin(angles[:, 1]), -tube * jnp.sin(angles[:, 0])],
-            axis=1,
-        )
-        curve = jnp.sqrt(chords * jnp.sum(jnp.diff(points, axis=0) ** 2))
-        return jnp.linalg.norm(points[0] - start) + curve + jnp.linalg.norm(points[-1] - end)
+        columns = [outward * jnp.cos(angles[:, 1]), outward * jnp.sin(angles[:, 1])]
+        return jnp.stack([*columns, -tube * jnp.sin(angles[:, 0])], axis=1)
 
-    return jax.jit(jax.value_and_grad(length))
+    return _polyline(points, chords)
 
 
-def _minimum(
-    function: Callable[..., Any], initial: np.ndarray, *given: np.ndarray
-) -> tuple[float, np.ndarray]:
+def lines_are_clear(
+    start: np.ndarray, end: np.ndarray, points: _Points, sizes: np.ndarray, depth: float = 1e-6
+) -> bool:
+    """Whether the straight lines from both ends to a polyline are nowhere deeper in a torus' tube (m)."""
+    share = np.linspace(0.0, 1.0, 401)[:, None]
+    lines = np.concatenate([start + share * (points[0] - start), end + share * (points[-1] - end)])
+    aside = np.hypot(lines[:, 0], lines[:, 1]) - sizes[0]
+    return bool(np.hypot(aside, lines[:, 2]).min() > sizes[1] - depth)
+
+
+def _minimum(polyline: Polyline, initial: np.ndarray, *given: np.ndarray) -> tuple[float, np.ndarray]:
     from scipy.optimize import minimize
 
     def value_and_slope(variables: np.ndarray) -> tuple[float, np.ndarray]:
-        value, slope = function(variables, *given)
+        value, slope = polyline.length(variables, *given)
         return float(value), np.asarray(slope)
 
     settings = {"maxiter": 3000, "maxfun": 6000, "ftol": 1e-16, "gtol": 1e-11, "maxcor": 30}
@@ -103,7 +127,48 @@ def _minimum(
     return float(found.fun), found.x
 
 
-def ellipsoid_oracle(start: np.ndarray, end: np.ndarray, sizes: np.ndarray, functions: Sequence) -> float:
+def _refined(variables: np.ndarray, chords: int) -> np.ndarray:
+    """Interpolate the nodes of a polyline to twice as many chords as it has."""
+    ends, nodes = variables[:2], variables[2:].reshape(chords - 1, -1)
+    outer = [2.0 * nodes[:1] - nodes[1:2], nodes, 2.0 * nodes[-1:] - nodes[-2:-1]]
+    share, finer = (np.linspace(0.0, 1.0, count + 1) for count in (chords, 2 * chords))
+    columns = [np.interp(finer, share, column)[1:-1] for column in np.concatenate(outer).T]
+    return np.concatenate([ends, np.stack(columns, axis=1).ravel()])
+
+
+def _shortest(
+    polylines: Sequence[Polyline],
+    initial: Sequence[np.ndarray],
+    start: np.ndarray,
+    end: np.ndarray,
+    sizes: np.ndarray,
+    allowed: Callable[[np.ndarray, np.ndarray, _Points, np.ndarray], bool] = lambda *_: True,
+) -> float:
+    """Length (m) of the shortest path from the given polylines of the fewest chords.
+
+    The two shortest of their minima that are allowed are refined, as an initial polyline may be left far from
+    its minimum. Infinite if none is allowed.
+    """
+    given = (start, end, sizes)
+    minima = [_minimum(polylines[0], one, *given) for one in initial]
+    minima = [
+        one for one in minima if allowed(start, end, np.asarray(polylines[0].points(one[1], *given)), sizes)
+    ]
+    lengths = [[np.inf, np.inf]]
+    for _, variables in sorted(minima, key=lambda one: one[0])[:2]:
+        by_chords = []
+        for coarser, polyline in zip(CHORDS, polylines[1:], strict=False):
+            value, variables = _minimum(polyline, _refined(variables, coarser), *given)
+            by_chords.append(value)
+        if allowed(start, end, np.asarray(polylines[-1].points(variables, *given)), sizes):
+            lengths.append(by_chords)
+    fewer, more = np.min(lengths, axis=0)
+    return float(more + (more - fewer) / 3.0) if np.isfinite(more) else np.inf
+
+
+def ellipsoid_oracle(
+    start: np.ndarray, end: np.ndarray, sizes: np.ndarray, polylines: Sequence[Polyline]
+) -> float:
     """Length of the shortest path (m) between two points outside an ellipsoid whose segment intersects it."""
     scaled = start / sizes, end / sizes
     along = scaled[1] - scaled[0]
@@ -111,18 +176,13 @@ def ellipsoid_oracle(start: np.ndarray, end: np.ndarray, sizes: np.ndarray, func
     one = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
     one /= np.linalg.norm(one)
     other = np.cross(along, one)
-    lengths = []
+    initial = []
     for begin in _STARTS:
         aside = np.cos(begin) * one + np.sin(begin) * other
-        by_chords = []
-        for chords, function in zip(CHORDS, functions, strict=True):
-            share = np.linspace(0.0, 1.0, chords + 1)[1:-1, None]
-            nodes = scaled[0] + share * (scaled[1] - scaled[0]) + 2.0 * np.sin(np.pi * share) * aside
-            angles = [_angle_towards(point, aside) for point in scaled]
-            initial = np.concatenate([angles, nodes.ravel()])
-            by_chords.append(_minimum(function, initial, start, end, sizes)[0])
-        lengths.append(by_chords[1] + (by_chords[1] - by_chords[0]) / 3.0)
-    return min(lengths)
+        share = np.linspace(0.0, 1.0, CHORDS[0] + 1)[1:-1, None]
+        nodes = scaled[0] + share * (scaled[1] - scaled[0]) + 2.0 * np.sin(np.pi * share) * aside
+        initial.append(np.concatenate([[_angle_towards(point, aside) for point in scaled], nodes.ravel()]))
+    return _shortest(polylines, initial, start, end, sizes)
 
 
 def _angle_towards(point: np.ndarray, aside: np.ndarray) -> float:
@@ -132,22 +192,28 @@ def _angle_towards(point: np.ndarray, aside: np.ndarray) -> float:
     return float(np.arctan2(aside @ np.cross(toward, one), aside @ one))
 
 
-def torus_oracle(start: np.ndarray, end: np.ndarray, sizes: np.ndarray, functions: Sequence) -> float:
+def torus_oracle(
+    start: np.ndarray, end: np.ndarray, sizes: np.ndarray, polylines: Sequence[Polyline]
+) -> float:
     """Length of the shortest path (m) through a torus' hole along the tube."""
-    lengths = []
     inner = sizes[0] - sizes[1]
     ring = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
     points = inner * np.stack([np.cos(ring), np.sin(ring), 0.0 * ring], axis=1)
     ways = np.linalg.norm(points - start, axis=1) + np.linalg.norm(points - end, axis=1)
-    for angle in ring[np.argsort(ways)[[0, 3]]]:
-        by_chords = []
-        for chords, function in zip(CHORDS, functions, strict=True):
-            share = np.linspace(-1.0, 1.0, chords + 1)[1:-1]
-            nodes = np.stack([-0.3 * np.sign(start[2]) * -share, np.full_like(share, angle)], axis=1)
-            initial = np.concatenate([[angle, angle], nodes.ravel()])
-            by_chords.append(_minimum(function, initial, start, end, sizes)[0])
-        lengths.append(by_chords[1] + (by_chords[1] - by_chords[0]) / 3.0)
-    return min(lengths)
+    initial = []
+    for angle in ring[np.argsort(ways)[[0, 3, 9]]]:
+        # Lines to an end near the surface are tangent only near the end's own angle about the ring.
+        own = [angle + np.angle(np.exp(1j * (np.arctan2(one[1], one[0]) - angle))) for one in (start, end)]
+        for first, last in product((angle, own[0]), (angle, own[1])):
+            share = np.linspace(-1.0, 1.0, CHORDS[0] + 1)[1:-1]
+            around = np.interp(share, (-1.0, 0.0, 1.0), (first, angle, last))
+            nodes = np.stack([0.3 * np.sign(start[2]) * share, around], axis=1)
+            straight = np.concatenate([[first, last], nodes.ravel()])
+            outer = np.asarray(polylines[0].points(straight, start, end, sizes))[[0, -1]]
+            about_tube = np.arctan2(-outer[:, 2], sizes[0] - np.hypot(outer[:, 0], outer[:, 1]))
+            nodes[:, 0] = np.interp(share, (-1.0, 1.0), about_tube)
+            initial += [straight, np.concatenate([[first, last], nodes.ravel()])]
+    return _shortest(polylines, initial, start, end, sizes, lines_are_clear)
 
 
 def engine_paths(
@@ -209,7 +275,7 @@ def compare(kind: str, count: int, seed: int) -> tuple[Differences, float]:
     lengths, arms, touched = [], [], 0
     maker = through_torus if kind == "torus" else _on_ellipsoid
     oracle = torus_oracle if kind == "torus" else ellipsoid_oracle
-    functions = [maker(chords) for chords in CHORDS]
+    polylines = [maker(chords) for chords in CHORDS]
     for surface, poses in draws(kind, count // per_surface, per_surface, seed, "all"):
         from scipy.spatial.transform import Rotation
 
@@ -226,7 +292,7 @@ def compare(kind: str, count: int, seed: int) -> tuple[Differences, float]:
             axis=1,
         )
         for row in np.flatnonzero(on_surface > 1e-6):
-            expected = oracle(ends[row, :3], ends[row, 3:], sizes, functions)
+            expected = oracle(ends[row, :3], ends[row, 3:], sizes, polylines)
             lengths.append(abs(length[row] - expected))
             arms.append(np.abs(slope[row] - differences[row]).max())
         touched += int((on_surface > 1e-6).sum())

@@ -40,6 +40,8 @@ _MAX_SWEEPS = 20
 _ORDER_TOLERANCE = 1e-3
 _MAX_STEPS = 30
 _GEODESIC_TOLERANCE = 1e-13
+# Contacts that move by more (m) in a further sweep have not converged.
+_LARGEST_MOVE = 1e-11
 # OpenSim's constants: most sweeps, and change of length (m) at which it stops.
 _OPENSIM_SWEEPS = 8
 _OPENSIM_TOLERANCE = 0.0005
@@ -218,9 +220,13 @@ def _shortest_path(
     route = _converged(*jax.lax.stop_gradient((path, surfaces)), kinds, numbers)
     knots = _with_derivatives(route.position[points:], route.knots, path, surfaces, kinds, numbers)
     placed = surfaces_in_ground(path, surfaces)
-    knots, contacts = _refit_all(knots, route.knots, path, placed, kinds, numbers)
-    position = jnp.concatenate([path.position, knots])
-    return route._replace(position=position, straight_ends=position, on_surface=contacts.length), contacts
+    again, contacts = _refit_all(knots, route.knots, path, placed, kinds, numbers)
+    moved = jnp.max(jnp.abs(jax.lax.stop_gradient(again - knots)))
+    unconverged = jnp.where(moved > _LARGEST_MOVE, -HALF_TURN, FREE)
+    margins = replace(route.margins, long_wrap=jnp.minimum(route.margins.long_wrap, unconverged))
+    position = jnp.concatenate([path.position, again])
+    found = route._replace(position=position, straight_ends=position, margins=margins)
+    return found._replace(on_surface=contacts.length), contacts
 
 
 def _converged(
@@ -266,7 +272,9 @@ def _converged(
         return ~state[1] & (state[2] < _MAX_STEPS)
 
     ordered = (route.position[points:], jnp.asarray(False), jnp.asarray(0))
-    contacts, *_ = jax.lax.while_loop(unconverged, step, ordered)
+    contacts, arrived, _ = jax.lax.while_loop(unconverged, step, ordered)
+    # Round surfaces that overlap the contacts may move without end: those of the last sweep are on surfaces.
+    contacts = jnp.where(arrived, contacts, ordered[0])
     return route._replace(position=jnp.concatenate([path.position, contacts]))
 
 

@@ -127,7 +127,8 @@ class Margins(eqx.Module):
     #: Distance of the contact from a cylinder's end (m). Paths do not wrap beyond the end.
     off_end: Float[Array, "*pose"]
     #: Half a turn less the wrap angle (rad). OpenSim takes the long way round above half a turn. Round an
-    #: ellipsoid or a torus a fixed number, positive where no path nearby is shorter.
+    #: ellipsoid or a torus a fixed number, positive where no path nearby is shorter. Negative where contacts
+    #: with several surfaces, which overlap, do not converge.
     long_wrap: Float[Array, "*pose"]
 
 
