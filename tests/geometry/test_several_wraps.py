@@ -88,3 +88,19 @@ def test_where_contacts_with_overlapping_surfaces_do_not_converge_a_path_is_not_
     assert 10 < regular.sum() < 90
     assert difference[regular].max() < 1e-6
     assert (difference[~regular] > 1e-3).any()
+
+
+def test_a_path_from_a_point_inside_an_ellipsoid_of_two_surfaces_has_exact_moment_arms(tmp_path):
+    """The point counts as on the surface, along which the path begins."""
+    around = SurfaceDraw("cylinder", (0.01, 0.3), "-y", center=(0.08, -0.02, 0.0))
+    write_model([SurfaceDraw("ellipsoid", (0.03, 0.022, 0.026)), around], tmp_path / "model.osim")
+    paths = muscle_paths(tmp_path / "model.osim", coordinates=COORDINATES)
+    poses = np.tile([0.011, 0.016, 0.008, 0.15, 0.01, -0.03], (8, 1))
+    poses[:, 2] += np.linspace(-1e-3, 1e-3, 8)
+    generator, step = np.random.default_rng(0), 1e-6
+    along = generator.normal(size=poses.shape)
+    found = paths(poses)
+    assert (paths.engine.posed(poses)["path"].nearest_points()[:, 0] < -1e-3).all()
+    assert np.asarray(found.touching).all() and not np.asarray(found.regular).any()
+    slope = (paths(poses + step * along).length - paths(poses - step * along).length)[:, 0] / (2.0 * step)
+    np.testing.assert_allclose(np.einsum("pc,pc->p", along, found.moment_arm[:, :, 0]), -slope, atol=1e-7)

@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
+from functools import cache
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -220,14 +221,12 @@ def engine_paths(
     surface: SurfaceDraw, ends: Float[np.ndarray, "pose 6"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Lengths, derivatives by the ends' positions and contact lengths of shortest paths round one surface."""
-    import jax
     import jax.numpy as jnp
 
     from wrapjax.geometry.placed_surface import PlacedSurface
     from wrapjax.geometry.vectors import vector
-    from wrapjax.geometry.wrap_methods import SHORTEST, kind_of
+    from wrapjax.geometry.wrap_methods import kind_of
 
-    method = SHORTEST[kind_of(f"Wrap{surface.kind.capitalize()}", surface.method)]
     sizes = np.array((*surface.sizes, surface.sizes[-1], surface.sizes[-1])[:3])
     axes = [vector(jnp.eye(3)[axis]) for axis in range(3)]
     radius = jnp.asarray(surface.sizes[1] if surface.kind == "torus" else float(np.mean(sizes)))
@@ -243,30 +242,36 @@ def engine_paths(
         side=none,
         sizes=vector(jnp.asarray(sizes)),
     )
+    function = _compiled(kind_of(f"Wrap{surface.kind.capitalize()}", surface.method))
+    length, slope, on_surface = function(jnp.asarray(ends), placed)
+    return np.asarray(length), np.asarray(slope), np.asarray(on_surface)
 
-    @jax.jit
-    @jax.vmap
-    def path(ends):
+
+@cache
+def _compiled(kind: str) -> Callable[..., Any]:
+    """Compile the paths from many ends round a surface of a kind."""
+    import jax
+    import jax.numpy as jnp
+
+    from wrapjax.geometry.vectors import stack_components, vector
+    from wrapjax.geometry.wrap_methods import SHORTEST
+
+    method = SHORTEST[kind]
+
+    def path(ends, placed):
         start, end = vector(ends[:3]), vector(ends[3:])
         decision = method.decide(start, end, placed)
         contact = method.find_contact(start, end, placed, decision)
         wraps = decision.mandatory | decision.possible
-        straight = (end - start).norm()
-        pull = [
-            jnp.where(wraps, one, other)
-            for one, other in (
-                (_stack(contact.start_pull), _stack((end - start).unit())),
-                (_stack(contact.end_pull), _stack((end - start).unit())),
-            )
+        straight = stack_components((end - start).unit())
+        pulls = [
+            jnp.where(wraps, stack_components(pull), straight)
+            for pull in (contact.start_pull, contact.end_pull)
         ]
-        slope = jnp.concatenate([-pull[0], pull[1]])
-        return jnp.where(wraps, contact.total, straight), slope, jnp.where(wraps, contact.length, 0.0)
+        length = jnp.where(wraps, contact.total, (end - start).norm())
+        return length, jnp.concatenate([-pulls[0], pulls[1]]), jnp.where(wraps, contact.length, 0.0)
 
-    def _stack(one):
-        return jnp.stack([one.x, one.y, one.z])
-
-    length, slope, on_surface = path(jnp.asarray(ends))
-    return np.asarray(length), np.asarray(slope), np.asarray(on_surface)
+    return jax.jit(jax.vmap(path, in_axes=(0, None)))
 
 
 def compare(kind: str, count: int, seed: int) -> tuple[Differences, float]:

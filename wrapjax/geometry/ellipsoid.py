@@ -103,6 +103,12 @@ def clearance(point: Vector, ellipsoid: PlacedSurface) -> Float[Array, "*segment
     return point.norm() * (1.0 - safe_inverse(relative))
 
 
+def outside(point: Vector, ellipsoid: PlacedSurface) -> Vector:
+    """Move points inside the ellipsoid to its surface, along the line from the center."""
+    relative = scaled(point, ellipsoid).norm()
+    return point * jnp.where(relative < 1.0, safe_inverse(relative), 1.0)
+
+
 def geodesic_contact(start: Vector, end: Vector, ellipsoid: PlacedSurface, decision: Decision) -> Contact:
     """Compute the contact of the shortest path round the ellipsoid.
 

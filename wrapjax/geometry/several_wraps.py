@@ -29,8 +29,9 @@ from wrapjax.geometry.path_on_cylinders import (
     surfaces_in_ground,
 )
 from wrapjax.geometry.placed_surface import HALF_TURN, Contact, PlacedSurface, WrapMethod
-from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt, stack_components, vector
-from wrapjax.geometry.wrap_methods import CYLINDER, OPENSIM_SEVERAL, SHORTEST, Kinds, clearance
+from wrapjax.geometry.points_outside import moved_outside, points_in_range, segment_directions
+from wrapjax.geometry.vectors import Vector, safe_inverse, stack_components, vector
+from wrapjax.geometry.wrap_methods import CYLINDER, ELLIPSOIDS, OPENSIM_SEVERAL, SHORTEST, Kinds, clearance
 from wrapjax.geometry.wrapping import FREE, WrappedPath
 
 # The shortest path: most sweeps over all surfaces that determine the order of contacts, movement (m) below
@@ -98,11 +99,17 @@ def shortest_route(
     Parameters are those of `wrap_shortest`.
     """
     kinds = _known(kinds, surfaces)
-    route, contacts = _shortest_path(path, surfaces, kinds, numbers)
     placed = surfaces_in_ground(path, surfaces)
     clearances = point_clearances(path, placed, kinds, numbers)
+    path = moved_outside(path, placed, kinds, numbers)
+    route, contacts = _shortest_path(path, surfaces, kinds, numbers)
+    if ELLIPSOIDS & set(kinds):
+        # Points that were moved are no longer inside.
+        margins = replace(route.margins, inside=jnp.minimum(route.margins.inside, clearances.min()))
+        route = route._replace(margins=margins)
     moving = None if path.moving is None else jnp.append(path.moving, jnp.zeros(2 * len(placed.radius), bool))
-    wrapped = _wrapped_path(route, path, placed, clearances, contacts.off_end, contacts.long_wrap, moving)
+    margins_of = (contacts.off_end, contacts.long_wrap)
+    wrapped = _wrapped_path(route, path, placed, clearances, *margins_of, moving, contacts.directions)
     return Route(route.knots, route.position, route.on_surface, placed, wrapped)
 
 
@@ -200,6 +207,8 @@ class _Contacts(NamedTuple):
     length: Float[Array, " wrap"]
     off_end: Float[Array, " wrap"]
     long_wrap: Float[Array, " wrap"]
+    #: Unit vectors along the path where it comes to each surface and leaves it.
+    directions: Float[Array, "wrap 2 3"]
 
 
 def _turns(wraps: int) -> tuple[list[int], list[int]]:
@@ -387,12 +396,14 @@ def _refit_all(
         contact = by_method(methods, wrap, numbers, _touch, start, end, surface)
         ends = (surface.to_body_frame(contact.first), surface.to_body_frame(contact.last))
         found = jnp.stack([stack_components(end) for end in ends])
+        pulls = (surface.rotate_to_body_frame(pull) for pull in (contact.start_pull, contact.end_pull))
         unchanged = jax.lax.stop_gradient(position[rows])
         moved = position.at[rows].set(jnp.where(touched, found, unchanged))
         return moved, _Contacts(
             length=jnp.where(touched, contact.length, 0.0),
             off_end=jnp.where(touched, contact.off_end, FREE),
             long_wrap=jnp.where(touched, HALF_TURN - contact.turn, FREE),
+            directions=jnp.stack([stack_components(pull) for pull in pulls]),
         )
 
     start = jnp.concatenate([path.position, contacts])
@@ -416,6 +427,7 @@ def _wrapped_path(
     off_end: Float[Array, " wrap"],
     long_wrap: Float[Array, " wrap"],
     moving: Bool[Array, " knot"] | None = None,
+    directions: Float[Array, "wrap 2 3"] | None = None,
 ) -> WrappedPath:
     """Compute length, moment arms (of unit tension along the path) and clearances of a path.
 
@@ -430,8 +442,7 @@ def _wrapped_path(
     if moving is not None:
         pulls |= moving[before] | moving[after]
     pulls &= present
-    along = route.straight_ends[after] - route.straight_ends[before]
-    along = along * safe_inverse(safe_sqrt(jnp.sum(along**2, axis=-1)))[:, None]
+    along = segment_directions(route, points, directions)
     # Velocities of the points of contact are those of the body's material there.
     arm = (route.position[points:] - jnp.repeat(path.origin, 2, axis=0))[None]
     turning = jnp.repeat(path.angular, 2, axis=1)
@@ -465,8 +476,7 @@ def point_clearances(
     def of_wrap(surface: PlacedSurface, kind: str) -> Float[Array, " point"]:
         return clearance(surface.to_surface_frame(vector(path.position)), surface, kind)
 
-    place = jnp.arange(path.position.shape[0])[None]
-    in_range = (place >= path.first_point[:, None]) & (place <= path.last_point[:, None])
+    in_range = points_in_range(path)
     different = list(dict.fromkeys(kinds)) if numbers is None else list(kinds)
     by_kind = [jax.vmap(lambda surface, kind=kind: of_wrap(surface, kind))(placed) for kind in different]
     places = jnp.asarray([different.index(kind) for kind in kinds]) if numbers is None else numbers

@@ -13,7 +13,9 @@ from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt
 CYLINDER = "cylinder"
 #: Kinds of surfaces whose shortest paths have a closed form.
 CLOSED_FORMS = {CYLINDER, "sphere"}
-_ELLIPSOIDS = {method: f"ellipsoid_{method}" for method in opensim_ellipsoid.METHODS}
+_BY_METHOD = {method: f"ellipsoid_{method}" for method in opensim_ellipsoid.METHODS}
+#: Kinds of ellipsoids.
+ELLIPSOIDS = frozenset(_BY_METHOD.values())
 #: Kinds of surfaces by OpenSim's classes. An ellipsoid's kind includes the path's method, which OpenSim's
 #: path depends on.
 _KINDS = {"WrapCylinder": CYLINDER, "WrapSphere": "sphere", "WrapTorus": "torus"}
@@ -52,7 +54,7 @@ SHORTEST = {
     CYLINDER: WrapMethod(cylinder.decide_wrapping, cylinder.geodesic_contact),
     "sphere": _SPHERE,
     "torus": WrapMethod(torus.decide_wrapping, torus.geodesic_contact, decided_first=True),
-    **dict.fromkeys(_ELLIPSOIDS.values(), _ELLIPSOID),
+    **dict.fromkeys(_BY_METHOD.values(), _ELLIPSOID),
 }
 _OPENSIM_OTHERS = {
     "sphere": WrapMethod(sphere.decide_wrapping, sphere.opensim_contact),
@@ -60,7 +62,7 @@ _OPENSIM_OTHERS = {
         kind: WrapMethod(
             opensim_ellipsoid.decide_wrapping, opensim_ellipsoid.find_contact(method), decided_first=True
         )
-        for method, kind in _ELLIPSOIDS.items()
+        for method, kind in _BY_METHOD.items()
     },
 }
 #: Methods for OpenSim's paths round a single surface, and round several.
@@ -79,7 +81,7 @@ OPENSIM_SINGLE, OPENSIM_SEVERAL = (
 def kind_of(opensim_class: str, method: str) -> str:
     """Return the kind of a surface from OpenSim's class and the path's method for ellipsoids."""
     if opensim_class == "WrapEllipsoid":
-        return _ELLIPSOIDS.get(method, _ELLIPSOIDS["hybrid"])
+        return _BY_METHOD.get(method, _BY_METHOD["hybrid"])
     return _KINDS[opensim_class]
 
 
@@ -90,3 +92,8 @@ def clearance(point: Vector, surface: PlacedSurface, kind: str) -> Float[Array, 
     if kind == "sphere":
         return point.norm() - surface.radius
     return (torus if kind == "torus" else ellipsoid).clearance(point, surface)
+
+
+def outside(point: Vector, surface: PlacedSurface, kind: str) -> Vector:
+    """Move points inside an ellipsoid to its surface, in the surface's frame (m); others stay."""
+    return ellipsoid.outside(point, surface) if kind in ELLIPSOIDS else point
