@@ -355,6 +355,24 @@ def test_of_several_ways_through_a_torus_the_shortest_is_found(sizes, start, end
     assert length[0] == pytest.approx(expected, abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("sizes", "start", "end"),
+    [
+        ((0.045113, 0.013557), (0.021705, -0.054605, 0.081456), (0.011597, -0.01327, -0.04094)),
+        ((0.047214, 0.011807), (-0.010343, 0.000147, 0.063848), (-0.066961, 0.023287, -0.093835)),
+        ((0.043881, 0.013719), (0.043893, 0.022519, 0.085117), (0.020972, 0.000579, -0.043986)),
+    ],
+)
+def test_a_path_that_hardly_touches_a_torus_is_found(sizes, start, end):
+    """Straight lines through the tube at a depth of a tenth of a millimeter."""
+    polylines = [through_torus(chords) for chords in CHORDS]
+    ends = np.array([*start, *end])
+    length, _, on_surface = engine_paths(SurfaceDraw("torus", sizes), ends[None])
+    expected = torus_oracle(ends[:3], ends[3:], np.array([*sizes, sizes[1]]), polylines)
+    assert 0.0 < on_surface[0] < 1e-3
+    assert length[0] == pytest.approx(expected, abs=1e-6)
+
+
 def narrow_torus():
     """Torus of the wrist's extensors in a public model; its hole is half as wide as its tube."""
     return SurfaceDraw("torus", (0.009, 0.006))

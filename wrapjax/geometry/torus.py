@@ -221,8 +221,8 @@ def _initial(ends: Ends, place: Float[Array, ""]) -> Float[Array, "start 2"]:
     A path through the hole may touch near one of its ends' ring angles and leave near the other's, and
     several paths may be shorter than all their neighbors. Of all pairs of some angles those are taken whose
     path is shorter than that of neighboring pairs, the shortest of them, with a curve that is straight in the
-    chart and its length from its middle. A path that stays on one side of the ring's plane starts at a given
-    place.
+    chart and its length from its middle. The others, and a path that stays on one side of the ring's plane,
+    start at a given place.
     """
     ring, tube = ends.surface
     trials = jnp.arange(_PAIRED) * (2.0 * jnp.pi / _PAIRED)
@@ -248,11 +248,11 @@ def _initial(ends: Ends, place: Float[Array, ""]) -> Float[Array, "start 2"]:
     ]
     minimal = jnp.isfinite(length) & (length <= jnp.min(jnp.stack(around), axis=0))
     shortest, best = jax.lax.top_k(-jnp.where(minimal, length, jnp.inf).ravel(), _STARTS)
-    best = jnp.where(jnp.isfinite(shortest), best, best[0])
+    known = jnp.isfinite(shortest)
     one, other = best // _PAIRED, best % _PAIRED
     through = jnp.stack([trials[one], trials[one] + aside[one, other]], axis=1)
     opposite = (ends.start[2] > 0.0) != (ends.end[2] > 0.0)
-    return jnp.where(opposite & jnp.any(minimal), through, place)
+    return jnp.where(opposite & known[:, None], through, place)
 
 
 def _clear(point: Float[Array, " 3"], touch: Float[Array, " 3"], sizes: Vector) -> Bool[Array, ""]:
