@@ -19,6 +19,7 @@ from wrapjax.geometry.kinematics import BodyMotion, CoordinateValues, body_motio
 from wrapjax.geometry.model_description import Joint, ModelDescription, Pose
 from wrapjax.geometry.routed_path import RoutedPath, route_paths
 from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS
+from wrapjax.path_sources.muscle_paths import MusclePaths
 from wrapjax.report.model_view.wrap_shapes import WrapShape, wrap_shape
 
 # Every so many-th vertex of a contact is drawn: arcs of 6 degrees, off a circle of 50 mm by less than 0.1 mm.
@@ -272,12 +273,24 @@ def _muscle_paths(
     wraps_of = {name: engine.wraps_of(name) for name in engine.muscles}
     moved = {wrap for placement in placements for wrap in placement.parameters}
     own: dict[str, list[MusclePath]] = {name: [] for name in engine.muscles}
+    # From a point inside its one surface, a path is drawn from the place above the point on both sides, and
+    # is only on the side that wraps in calibrations.
+    single = [name for name in engine.muscles if len(wraps_of[name]) == 1]
+    paths = MusclePaths(ExactPaths(engine.model, single, engine.coordinates), "geodesic", {})
     for number, placement in enumerate(placements):
+        engines: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        if single:
+            values = paths(poses, placement.of(paths.wraps))
+            length, arm = np.asarray(values.length), np.asarray(values.moment_arm)
+            engines = {name: (length[:, column], arm[:, :, column].T) for column, name in enumerate(single)}
         shown = [name for name in engine.muscles if not number or moved.intersection(wraps_of[name])]
         parameters = {name: placement.of(wraps_of[name]) for name in shown}
         routes = route_paths(engine.model, shown, engine.coordinates, poses, parameters)
         for name in shown:
-            own[name].append(_muscle_path(routes[name], wraps_of[name]))
+            path = _muscle_path(routes[name], wraps_of[name])
+            if name in engines:
+                path = replace(path, length=engines[name][0], moment_arm=engines[name][1])
+            own[name].append(path)
     return {name: tuple(found) for name, found in own.items()}
 
 
