@@ -51,11 +51,13 @@ def moved_outside(
             [stack_components(axis) for axis in (surface.x_axis, surface.y_axis, surface.z_axis)]
         )
         center = stack_components(surface.center)[None]
-        # Velocities of the surface's material at the points.
-        carried = path.linear[:, wrap, None] + jnp.cross(
-            path.angular[:, wrap, None], (position - path.origin[wrap][None])[None]
-        )
-        local, local_velocity = (position - center) @ axes.T, (velocity - carried) @ axes.T
+
+        def carried(points: Array) -> Array:
+            """Velocities that points have with the surface's body."""
+            arm = (points - path.origin[wrap][None])[None]
+            return path.linear[:, wrap, None] + jnp.cross(path.angular[:, wrap, None], arm)
+
+        local, local_velocity = (position - center) @ axes.T, (velocity - carried(position)) @ axes.T
 
         def projected(kind: str, points: Array) -> Array:
             return stack_components(outside(vector(points), surface, kind))
@@ -68,10 +70,8 @@ def moved_outside(
         rate = jax.vmap(lambda along: jax.jvp(move, (local,), (along,))[1])(local_velocity)
         inside = in_range[wrap] & jnp.any(found != local, axis=1)
         ground = found @ axes + center
-        arm = (ground - path.origin[wrap][None])[None]
-        carried = path.linear[:, wrap, None] + jnp.cross(path.angular[:, wrap, None], arm)
         position = jnp.where(inside[:, None], ground, position)
-        velocity = jnp.where(inside[None, :, None], carried + rate @ axes, velocity)
+        velocity = jnp.where(inside[None, :, None], carried(ground) + rate @ axes, velocity)
         return (position, velocity, moving | inside), None
 
     state = (path.position, path.velocity, moving)

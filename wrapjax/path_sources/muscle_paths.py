@@ -55,7 +55,7 @@ class PathValues(eqx.Module):
     #: Whether a muscle touches any of its wraps.
     touching: Bool[Array | np.ndarray, "pose muscle"]
     #: Whether the path is at a distance from all discontinuities of its length: no point is inside a surface,
-    #: no contact at a cylinder's end or above half a turn.
+    #: no contact at a cylinder's end or above half a turn, and contacts with several surfaces converge.
     regular: Bool[Array | np.ndarray, "pose muscle"]
 
 
