@@ -10,14 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.osim.bone_file import TETRAHEDRON
 from tests.path_sources.round_trip import assert_reproduces_itself
-from tests.subject.synthetic import MODEL, write_subject
+from tests.path_sources.wrapped_knee import wrapped_model
+from tests.subject.synthetic import write_subject
 from wrapjax.calibration.calibration import calibrate
 from wrapjax.errors import InputError
 from wrapjax.geometry import training_samples
-from wrapjax.geometry.engine import ExactPaths, surfaces_of, wrap_at_samples
-from wrapjax.geometry.physiological import PhysiologicalThresholds, distance_from_bones
+from wrapjax.geometry.engine import ExactPaths, wrap_at_samples
+from wrapjax.geometry.physiological import PhysiologicalThresholds
 from wrapjax.geometry.wrapping import NOMINAL
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.path_engine import PathEngine
@@ -28,19 +28,6 @@ from wrapjax.path_sources.path_samples import fit_poses
 from wrapjax.path_sources.polynomial_fit import load_fit
 from wrapjax.path_sources.wrap_fitting import fit_wraps
 from wrapjax.subject.subject import load_subject as load_subject
-
-#: Cylinder at the knee of the synthetic thigh, over which the anterior muscle wraps.
-CYLINDER = """<WrapObjectSet><objects><WrapCylinder name="knee_front_l">
- <quadrant>x</quadrant><translation>0 -0.4 0</translation><radius>0.055</radius><length>0.1</length>
-</WrapCylinder></objects></WrapObjectSet></Body>"""
-WRAP = """</PathPointSet><PathWrapSet><objects><PathWrap name="over_knee">
- <wrap_object>knee_front_l</wrap_object></PathWrap></objects></PathWrapSet></GeometryPath>"""
-
-
-def wrapped_model():
-    thigh, shank, rest = MODEL.split("</Body>", 2)
-    front, behind = rest.split("</PathPointSet></GeometryPath>", 1)
-    return f"{thigh}{CYLINDER}{shank}</Body>{front}{WRAP}{behind}"
 
 
 @pytest.fixture(scope="module")
@@ -164,86 +151,6 @@ def test_the_same_fit_is_read_from_the_cache(person, sampled, monkeypatch):
     again = fit_wraps(person, fit(person, "engine"))
     assert again.wraps.quality == sampled.wraps.quality
     assert not list(Path(os.environ["WRAPJAX_CACHE"]).rglob("report.html"))
-
-
-# ---- Wraps near bones
-
-MESH = """<attached_geometry><Mesh name="bone">
- <socket_frame>..</socket_frame><scale_factors>1 1 1</scale_factors><mesh_file>thigh.vtp</mesh_file>
-</Mesh></attached_geometry>"""
-#: All points of the bone; the cylinder's hind side is 1 mm in front of the foremost.
-BEHIND = "-0.056 -0.4 0  -0.06 -0.39 0  -0.06 -0.41 0  -0.07 -0.4 0  -0.08 -0.4 0"
-
-
-@pytest.fixture(scope="module")
-def with_bone(tmp_path_factory):
-    folder = write_subject(tmp_path_factory.mktemp("bones") / "synthetic")
-    model = wrapped_model().replace("<WrapObjectSet>", f"{MESH}<WrapObjectSet>", 1)
-    (folder / "model.osim").write_text(model, encoding="utf-8")
-    bones = folder / "Geometry"
-    bones.mkdir()
-    start, end = TETRAHEDRON.index("0 0 0  1"), TETRAHEDRON.index("</DataArray></Points>")
-    (bones / "thigh.vtp").write_text(TETRAHEDRON[:start] + BEHIND + TETRAHEDRON[end:])
-    return load_subject(folder), bones
-
-
-def test_feasible_wraps_stay_near_the_bone(with_bone, fewer_samples):
-    """Without the criterion, the classifier accepts wraps that are farther from the bone."""
-    person, bones = with_bone
-    polynomials, thresholds = fit(person, "engine"), PhysiologicalThresholds(bone_distance=0.002)
-    free, near = (
-        fit_wraps(person, polynomials, thresholds=thresholds, bone_folders=folders).wraps
-        for folders in ((), (bones,))
-    )
-    assert free.quality["knee_front_l"].near_bone_share is None
-    share = near.quality["knee_front_l"].near_bone_share
-    assert 0.2 < share < 0.8 and near.quality["knee_front_l"].physiological_share <= share
-    half = np.asarray(near.inner.half_range)[0, 0]
-    parameters = NOMINAL + np.random.default_rng(5).uniform(-1.0, 1.0, (300, 6)) * half
-    surface = jax.tree.map(
-        lambda leaf: leaf[0], surfaces_of([describe_model(person.model_file).wrap("knee_front_l")])
-    )
-    points = np.array(BEHIND.split(), dtype=float).reshape(-1, 3)
-    distance = distance_from_bones(surface, "cylinder", points, np.concatenate([NOMINAL[None], parameters]))
-    assert distance[0] == pytest.approx(0.001, abs=1e-9)
-    far = distance[1:] - distance[0] > 0.002
-
-    def accepted(wraps):
-        limit = wraps.feasibility["knee_front_l"]
-        if limit is None:
-            return np.ones(len(parameters), dtype=bool)
-        return np.asarray(jax.vmap(limit.excess)(jnp.asarray(parameters))) <= 0.0
-
-    assert far.mean() > 0.2
-    assert accepted(near)[far].mean() < 0.15 < 0.5 < accepted(free)[far].mean()
-    assert accepted(near)[~far].mean() > 0.6
-
-
-def test_the_fit_is_another_with_another_bone(with_bone, fewer_samples, monkeypatch):
-    """What was kept of a fit is not used for a changed bone."""
-    person, bones = with_bone
-    computed = []
-    monkeypatch.setattr(wrap_fitting, "_fit_wraps", lambda *inputs: computed.append(inputs) or fits)
-    fits, file = fit(person, "engine"), bones / "thigh.vtp"
-    content = file.read_text()
-    try:
-        for text in (content.replace("-0.06 -0.39", "-0.06 -0.38"), content.replace("-0.08", "-0.09")):
-            file.write_text(text)
-            fit_wraps(person, fits, bone_folders=(bones,))
-        assert len(computed) == 2
-    finally:
-        file.write_text(content)
-
-
-def test_bones_that_are_not_found_are_named(with_bone, tmp_path):
-    person, _ = with_bone
-    with pytest.raises(InputError, match=r"expected surfaces of bones \(.vtp\), found none of thigh.vtp"):
-        fit_wraps(person, fit(person, "engine"), bone_folders=(tmp_path,))
-
-
-def test_a_model_that_names_no_bones_is_refused_with_a_folder_of_them(person, with_bone):
-    with pytest.raises(InputError, match="the model names no bone of a body with wraps"):
-        fit_wraps(person, fit(person, "engine"), bone_folders=(with_bone[1],))
 
 
 def test_pga_requires_sampled_wraps(person):

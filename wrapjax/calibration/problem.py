@@ -198,9 +198,23 @@ def fit_for_methods(
 def matching_path_source(fit: Fit | ExactGeometry, subject: Subject) -> Fit | ExactGeometry:
     """Build a path source for a subject of the same kind as an existing one, as that of the other leg."""
     if isinstance(fit, ExactGeometry):
-        return exact_geometry(subject, fit.name)
+        if fit.bones is None:
+            return exact_geometry(subject, fit.name)
+        return exact_geometry(
+            subject, fit.name, bone_folders=fit.bones.folders, bone_distance=fit.bones.distance
+        )
     fitted = fit_paths(subject, fit.geometry)
-    return fitted if fit.wraps is None else fit_wraps(subject, fitted)
+    if fit.wraps is None:
+        return fitted
+    if any(quality.near_bone_share is not None for quality in fit.wraps.quality.values()):
+        raise InputError(
+            Problem(
+                str(subject.folder),
+                "the first leg's surfaces stay near bones by its fit, which has no bones of this leg",
+                hint="calibrate the legs one by one, without other_leg, or fit without bones",
+            )
+        )
+    return fit_wraps(subject, fitted, thresholds=fit.wraps.thresholds)
 
 
 def objective(

@@ -20,6 +20,7 @@ from wrapjax.cli.common import (
     add_undriven_options,
     checkpoint_folder,
     positive_integer,
+    positive_number,
     print_result,
 )
 from wrapjax.errors import InputError, Problem
@@ -222,6 +223,20 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         help="wrapping surfaces that PGA changes: touched, those that a muscle touches in a recorded frame "
         "(default); all",
     )
+    calibrate.add_argument(
+        "--bones",
+        type=Path,
+        metavar="DIR",
+        help="folder of the bones' surfaces, .vtp, near which PGA with --geometry engine keeps wrapping "
+        "surfaces; polynomials have them from 'wrapjax fit --bones'",
+    )
+    calibrate.add_argument(
+        "--bone-distance",
+        type=positive_number,
+        metavar="X",
+        help="largest increase of a surface's distance from the bones of its body, with --bones, m (default: "
+        "0.005)",
+    )
     calibrate.add_argument("--curves", choices=["paper", "opensim"], default="paper", help=CURVES_HELP)
     calibrate.add_argument(
         "--tendon",
@@ -283,6 +298,7 @@ def run(options: argparse.Namespace) -> int:
     from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
     from wrapjax.calibration.uncertainty.uncertainty import DRAWS, uncertainty
     from wrapjax.evaluation.left_out_tasks import leave_out_tasks
+    from wrapjax.geometry.physiological import DEFAULT_THRESHOLDS
     from wrapjax.path_sources.exact import exact_geometry
     from wrapjax.path_sources.polynomial_fit import load_fit
     from wrapjax.path_sources.undriven_muscles import apply_undriven_strategy
@@ -301,6 +317,16 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(
             Problem("--surfaces", "is for --method PGA: the other methods change no wrapping surfaces")
         )
+    if options.bones and (options.geometry, options.method) != ("engine", "PGA"):
+        raise InputError(
+            Problem(
+                "--bones",
+                "is for --method PGA with --geometry engine",
+                hint="polynomials keep surfaces near bones by 'wrapjax fit --bones DIR' and --fit",
+            )
+        )
+    if options.bone_distance and not options.bones:
+        raise InputError(Problem("--bone-distance", "is for --bones"))
     if options.leave_tasks_out and options.uncertainty:
         raise InputError(Problem("--leave-tasks-out", "cannot be combined with --uncertainty"))
     checkpoints = checkpoint_folder(options)
@@ -312,7 +338,11 @@ def run(options: argparse.Namespace) -> int:
     subject = apply_undriven_strategy(subject, options.undriven, options.synergies)
     paths: Fit | ExactGeometry
     if options.geometry == "engine":
-        paths = exact_geometry(subject)
+        paths = exact_geometry(
+            subject,
+            bone_folders=(options.bones,) if options.bones else (),
+            bone_distance=options.bone_distance or DEFAULT_THRESHOLDS.bone_distance,
+        )
     elif options.fit:
         paths = load_fit(options.fit, subject)
     else:

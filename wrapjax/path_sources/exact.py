@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -11,6 +12,7 @@ from jaxtyping import Bool, Float
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, Wrapping
 from wrapjax.geometry.paths import AbstractPath, fixed_path
+from wrapjax.geometry.physiological import DEFAULT_THRESHOLDS
 from wrapjax.geometry.wrap_bounds import CYLINDER, parameter_box, translation_bounds
 from wrapjax.geometry.wrapped_paths import wrapped_paths
 from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, WRAP_PARAMETERS
@@ -19,6 +21,7 @@ from wrapjax.jax_setup import require_float64
 from wrapjax.model.freedom import Freedom, FreedWraps, nga_freedom, with_wraps
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.model_inputs import model_parameters
+from wrapjax.path_sources.near_bones import NearBones, find_near_bones
 from wrapjax.subject.subject import Subject
 from wrapjax.subject.trials import Trials
 
@@ -53,6 +56,8 @@ class ExactGeometry:
         Whether each muscle touches each of its wraps in a recorded frame.
     translations
         Largest translation of each touched wrap along each axis, to either side, m.
+    bones
+        Bones near which freed wraps stay; None where none were given.
     """
 
     name: str
@@ -60,6 +65,7 @@ class ExactGeometry:
     engine: ExactPaths
     on_surface: Bool[np.ndarray, "muscle wrap"]
     translations: dict[str, float]
+    bones: NearBones | None = field(default=None, kw_only=True)
 
     @property
     def wrapping(self) -> Wrapping:
@@ -110,9 +116,30 @@ class ExactGeometry:
                     hint="use NGA or SGA",
                 )
             )
+        shares = self._shares_near_bones(translations)
         wraps_of = [self.engine.wraps_of(name) for name in self.engine.muscles]
         classes, names = self.engine.wrap_classes, self.engine.parameters
-        return with_wraps(freedom, method, freed_wraps(wraps_of, translations, classes, names))
+        near = {name: translations[name] for name in shares}
+        return with_wraps(freedom, method, freed_wraps(wraps_of, near, classes, names, shares))
+
+    def _shares_near_bones(self, translations: Mapping[str, float]) -> dict[str, float]:
+        """Find by which factor to reduce the bounds of each wrap that can move and stay near its bones."""
+        if self.bones is None:
+            return dict.fromkeys(translations, 1.0)
+        shares = {
+            name: self.bones.box_share(self.engine.model.wrap(name), translation, self.engine.parameters)
+            for name, translation in translations.items()
+        }
+        if not any(shares.values()):
+            raise InputError(
+                Problem(
+                    ", ".join(map(str, self.bones.folders)),
+                    "none of the surfaces that PGA would move stays within "
+                    f"{1e3 * self.bones.distance:g} mm of its nominal distance from the bones",
+                    hint="allow a larger distance, or use NGA",
+                )
+            )
+        return {name: share for name, share in shares.items() if share > 0.0}
 
     def _all_translations(self, subject: Subject) -> dict[str, float]:
         """Determine the largest translation of each wrap, touched or not, m."""
@@ -148,7 +175,13 @@ class ExactGeometry:
         return paths if free else fixed_path(paths.nominal)
 
 
-def exact_geometry(subject: Subject, geometry: str = "engine") -> ExactGeometry:
+def exact_geometry(
+    subject: Subject,
+    geometry: str = "engine",
+    *,
+    bone_folders: Sequence[Path] = (),
+    bone_distance: float = DEFAULT_THRESHOLDS.bone_distance,
+) -> ExactGeometry:
     """Build a subject's muscle paths with the exact engine.
 
     Parameters
@@ -157,6 +190,12 @@ def exact_geometry(subject: Subject, geometry: str = "engine") -> ExactGeometry:
         Subject from `load_subject`.
     geometry
         Wrapping algorithm: ``engine`` computes shortest paths, ``engine-parity`` paths as in OpenSim 4.6.
+    bone_folders
+        Folders with the surfaces of bones (``.vtp``) that the model names. Where they are given, the bounds
+        of wrap parameters are reduced so that wraps stay near the bones of their body. Bones without a file
+        do not count.
+    bone_distance
+        Largest increase of a wrap's distance from the bones of its body over that of the nominal wrap, m.
 
     Returns
     -------
@@ -166,7 +205,8 @@ def exact_geometry(subject: Subject, geometry: str = "engine") -> ExactGeometry:
     Raises
     ------
     InputError
-        If a muscle's path has an element that the engine does not support.
+        If a muscle's path has an element that the engine does not support; or if folders of bones are given
+        that have none of the model's wrapped bodies, or a damaged one.
     ValueError
         If the geometry is unknown.
 
@@ -178,15 +218,23 @@ def exact_geometry(subject: Subject, geometry: str = "engine") -> ExactGeometry:
     require_float64()
     if geometry not in WRAPPINGS:
         raise ValueError(f"unknown geometry '{geometry}': expected one of {', '.join(WRAPPINGS)}")
+    bones = find_near_bones(subject.model_file, bone_folders, bone_distance) if bone_folders else None
     engine = build_engine(subject)
     angles, _ = recorded_motion(subject.trials, engine.coordinates)
     touching, touched = touched_wraps(engine, subject.trials)
     return ExactGeometry(
         name=geometry,
-        key=f"{content_hash(subject.model_file)}-{content_hash(geometry, repr(engine.muscles), angles)}",
+        key="-".join(
+            [
+                content_hash(subject.model_file),
+                content_hash(geometry, repr(engine.muscles), angles),
+                *(() if bones is None else (content_hash(bones.distance, *bones.vertices.values()),)),
+            ]
+        ),
         engine=engine,
         on_surface=touching,
         translations=translation_bounds(engine, engine.posed(_poses(engine, subject)), touched),
+        bones=bones,
     )
 
 
@@ -247,6 +295,7 @@ def freed_wraps(
     translations: Mapping[str, float],
     classes: Mapping[str, str] | None = None,
     quantities: Sequence[str] = WRAP_PARAMETERS,
+    shares: Mapping[str, float] | None = None,
 ) -> FreedWraps:
     """Free wraps within the bounds of their parameters (see `parameter_box`), with nominal prior means.
 
@@ -260,6 +309,9 @@ def freed_wraps(
         OpenSim's class of each wrap; by default all are cylinders.
     quantities
         Names of the wrap parameters.
+    shares
+        Factor, of 0 to 1, by which the bounds of each wrap are reduced towards the nominal values; by default
+        they are not.
 
     Returns
     -------
@@ -277,7 +329,9 @@ def freed_wraps(
         for name in names
     ]
     nominal = NOMINAL_PARAMETERS[: len(quantities)]
-    lower, upper = np.moveaxis(np.reshape(boxes, (-1, 2, len(quantities))) - nominal, 1, 0)
+    factors = np.array([1.0 if shares is None else shares[name] for name in names])
+    deviations = (np.reshape(boxes, (-1, 2, len(quantities))) - nominal) * factors[:, None, None]
+    lower, upper = np.moveaxis(deviations, 1, 0)
     half_width = np.where(upper > lower, 0.5 * (upper - lower), 1.0)
     suffixes = (name.rpartition("_")[2] for name in quantities)
     return FreedWraps(

@@ -12,34 +12,29 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.engine import (
     GEODESIC,
     ExactPaths,
     PosedPath,
     nominal_parameters,
-    surfaces_of,
     wrap_at_samples,
 )
 from wrapjax.geometry.feasibility import Feasibility, feasibility_quality, fit_feasibility
-from wrapjax.geometry.model_description import WrapObject
 from wrapjax.geometry.physiological import (
     DEFAULT_THRESHOLDS,
     PhysiologicalThresholds,
-    distance_from_bones,
     measure_paths,
 )
 from wrapjax.geometry.surrogate import PathSurrogate
 from wrapjax.geometry.training_samples import SamplePlan, SampleSet, plan_samples
 from wrapjax.geometry.two_level import InnerLevel, fit_inner_level, wrap_exponents
 from wrapjax.geometry.wrap_bounds import translation_bounds, usable_for_all_muscles
-from wrapjax.geometry.wrap_methods import kind_of
 from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, WRAP_PARAMETERS, WrappedPath
 from wrapjax.io.store import Store, fingerprint
 from wrapjax.jax_setup import require_float64
-from wrapjax.osim.bones import attached_meshes, find_bones
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.exact import WRAPPINGS
+from wrapjax.path_sources.near_bones import NearBones, find_near_bones
 from wrapjax.path_sources.path_samples import (
     SMOOTH_POSES,
     EngineAnalyzer,
@@ -270,9 +265,12 @@ def fit_wraps(
     >>> calibrate(subject, "PGA", fitted)  # doctest: +SKIP
     """
     require_float64()
-    bones = _bones_of_bodies(subject.model_file, bone_folders) if bone_folders else {}
+    bones = None
+    if bone_folders:
+        bones = find_near_bones(subject.model_file, bone_folders, thresholds.bone_distance)
     store = Store.of_user("fit_wraps")
-    name = fingerprint(fit.key, repr(thresholds), *bones, *bones.values(), module=__name__)
+    vertices = bones.vertices if bones else {}
+    name = fingerprint(fit.key, repr(thresholds), *vertices, *vertices.values(), module=__name__)
     if (known := store.read(name, read_fit)) is not None:
         return known
     result = _fit_wraps(subject, fit, thresholds, bones, processes, quiet)
@@ -284,7 +282,7 @@ def _fit_wraps(
     subject: Subject,
     fit: Fit,
     thresholds: PhysiologicalThresholds,
-    bones: Mapping[str, Float[np.ndarray, "vertex 3"]],
+    bones: NearBones | None,
     processes: int | None,
     quiet: bool,
 ) -> Fit:
@@ -329,11 +327,8 @@ def _fit_wraps(
         training_labels, validation_labels = (np.all(labels, axis=0) for labels in zip(*users, strict=True))
         samples, others = (plan.together.moved[wrap] for plan in (training, validation))
         near_bone_share = None
-        if (vertices := bones.get(model.wrap(wrap).body)) is not None:
-            near_bone, others_near_bone = (
-                _near_bones(model.wrap(wrap), vertices, own, thresholds.bone_distance)
-                for own in (samples, others)
-            )
+        if bones and model.wrap(wrap).body in bones.vertices:
+            near_bone, others_near_bone = (bones.identify(model.wrap(wrap), own) for own in (samples, others))
             training_labels, validation_labels = (
                 training_labels & near_bone,
                 validation_labels & others_near_bone,
@@ -375,35 +370,6 @@ def _fit_wraps(
             "feasibility": time.perf_counter() - sampled,
         },
     )
-
-
-def _bones_of_bodies(model_file: Path, folders: Sequence[Path]) -> dict[str, Float[np.ndarray, "vertex 3"]]:
-    """Read the bones of the bodies that carry wraps: by body, all vertices in its frame, m."""
-    carriers = {wrap.body for wrap in describe_model(model_file).wraps}
-    meshes = [mesh for mesh in attached_meshes(model_file) if mesh.body in carriers]
-    bones, missing = find_bones(meshes, folders)
-    if not bones:
-        named = f"none of {', '.join(missing)}" if missing else "the model names no bone of a body with wraps"
-        places = ", ".join(map(str, folders))
-        raise InputError(Problem(places, f"expected surfaces of bones (.vtp), found {named}"))
-    return {
-        body: np.concatenate([bone.vertices for bone in bones if bone.body == body])
-        for body in sorted({bone.body for bone in bones})
-    }
-
-
-def _near_bones(
-    wrap: WrapObject,
-    bones: Float[np.ndarray, "vertex 3"],
-    samples: Float[np.ndarray, "sample wrap_parameter"],
-    farther: float,
-) -> Labels:
-    """Identify samples of a wrap whose distance from the bones exceeds the nominal one by no more (m)."""
-    nominal = NOMINAL_PARAMETERS[None, : samples.shape[1]]
-    surface = jax.tree.map(lambda leaf: leaf[0], surfaces_of([wrap]))
-    kind = kind_of(wrap.kind, "hybrid")
-    distance = distance_from_bones(surface, kind, bones, np.concatenate([nominal, samples]))
-    return distance[1:] - distance[0] <= farther
 
 
 def _touched_wraps(posed: PosedPath) -> Bool[np.ndarray, " wrap"]:
