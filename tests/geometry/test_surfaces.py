@@ -13,9 +13,18 @@ from validation.wrapping.draws import draw_poses, draw_surface
 from validation.wrapping.shortest_paths import CHORDS, engine_paths, through_torus, torus_oracle
 from validation.wrapping.single_path import COORDINATES, MUSCLE, SurfaceDraw, by_opensim, write_model
 from wrapjax.errors import InputError
+from wrapjax.geometry import torus
 from wrapjax.geometry.curve_length import VARIABLES
 from wrapjax.geometry.ellipsoid import planar_length, plane_through
-from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, nominal_parameters, wrap_at_samples
+from wrapjax.geometry.engine import (
+    GEODESIC,
+    PARITY,
+    ExactPaths,
+    nominal_parameters,
+    surfaces_of,
+    wrap_at_samples,
+)
+from wrapjax.geometry.model_description import WrapObject
 from wrapjax.geometry.placed_surface import PlacedSurface
 from wrapjax.geometry.vectors import stack_components, vector
 from wrapjax.geometry.wrap_methods import SHORTEST
@@ -435,3 +444,38 @@ def test_from_an_end_inside_an_ellipsoid_the_path_begins_along_the_surface(start
     length, slope, on_surface = engine_paths(SurfaceDraw("ellipsoid", (0.025, 0.02, 0.02)), ends)
     assert on_surface.min() > 0.005
     np.testing.assert_allclose(slope[0], (length[1:7] - length[7:]) / (2.0 * step), atol=1e-4)
+
+
+def wide_tube_contacts(ends):
+    """Contacts with a torus whose hole is less than half as wide as its tube."""
+    wrap = WrapObject(
+        "cuff", "WrapTorus", "thigh", (0.0,) * 3, (0.0,) * 3, None, None, "all", True, (0.02, 0.014)
+    )
+    surface = jax.tree.map(lambda leaf: leaf[0], surfaces_of([wrap])).placed(jnp.asarray(NOMINAL_PARAMETERS))
+    start, end = (vector(jnp.asarray(part)) for part in (ends[:, :3], ends[:, 3:]))
+    return torus.geodesic_contact(start, end, surface, torus.decide_wrapping(start, end, surface))
+
+
+def swept(ends, count):
+    """Ends of segments of which the start moves by 2 mm to either side."""
+    moves = np.linspace(-2e-3, 2e-3, count)
+    return np.array(ends) + np.outer(moves, [1.0, -1.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def test_the_margin_through_a_torus_is_zero_where_the_path_takes_another_way():
+    """The margin is the other way's extra length: PGA keeps from where moment arms jump."""
+    contact = wide_tube_contacts(swept((-0.0592, 0.0327, 0.038, 0.0523, -0.0293, -0.0427), 81))
+    margin = 0.014 * (np.pi - np.asarray(contact.turn))
+    change = np.abs(np.diff(np.asarray(contact.start_pull.x)))
+    (switch,) = np.flatnonzero(change > 0.02)
+    assert change[switch] > 0.05
+    assert (margin > 0.0).all() and margin[switch : switch + 2].max() < 1e-5
+    slopes = np.diff(margin)
+    assert (slopes[:switch] < 0.0).all() and (slopes[switch + 1 :] > 0.0).all()
+
+
+def test_the_shorter_of_two_ways_through_a_narrow_hole_is_found_in_all_poses():
+    """The length has no jump where the start moves."""
+    contact = wide_tube_contacts(swept((0.0458, 0.0013, 0.0519, -0.0255, -0.0064, -0.0207), 81))
+    second = np.diff(np.asarray(contact.total), 2)
+    assert np.abs(second).max() < 2e-5

@@ -30,7 +30,9 @@ _TRIALS, _HALVINGS = 32, 40
 # Angles of the ring at either end of a curve of which the best pair is where the search starts.
 _PAIRED = 32
 # Pairs of angles from which a path is searched.
-_STARTS = 3
+_STARTS = 5
+# Distance of their middles, in radii of the tube, up to which two curves are one.
+_SAME_WAY = 1e-3
 # Depth (m) up to which a line touches the tube and does not pass through it.
 _TOUCHING = 1e-7
 # Length of OpenSim's cylinder (m).
@@ -134,7 +136,7 @@ def geodesic_contact(start: Vector, end: Vector, torus: PlacedSurface, decision:
         ring_angle: Float[Array, ""],
         direction: Float[Array, ""],
         wraps: Array,
-    ) -> tuple[Curve, Array, Array]:
+    ) -> tuple[Curve, Array, Array, Array]:
         given = (start, end)
         surface = jnp.stack([sizes.x, sizes.y])
         # In place of segments that do not wrap, whose contact is not used, some segment that does is
@@ -152,17 +154,20 @@ def geodesic_contact(start: Vector, end: Vector, torus: PlacedSurface, decision:
         found = found._replace(minimal=found.minimal & outside)
         shortest = jnp.argmin(jnp.where(found.minimal, found.total, jnp.inf))
         taken: Curve = jax.tree.map(lambda leaf: leaf[shortest], found)
+        other = found.minimal & (_norm(found.middle - taken.middle[None]) > _SAME_WAY * sizes.y)
+        ahead = jnp.min(jnp.where(other, found.total - taken.total, HALF_TURN * sizes.y))
 
         def to_surface(point: Array) -> Array:
             return _outside(point, sizes)
 
         return (
             taken,
+            jnp.where(taken.minimal, jnp.minimum(ahead / sizes.y, 0.5 * HALF_TURN), -0.5 * HALF_TURN),
             pull_at(given[0], taken.first, taken.first_direction, to_surface),
             -pull_at(given[1], taken.last, -taken.last_direction, to_surface),
         )
 
-    curve, start_pull, end_pull = over_segments(one, start)(
+    curve, margin, start_pull, end_pull = over_segments(one, start)(
         stack_components(start),
         stack_components(end),
         jax.lax.stop_gradient(decision.ring_angle),
@@ -177,7 +182,7 @@ def geodesic_contact(start: Vector, end: Vector, torus: PlacedSurface, decision:
         start_pull=vector(start_pull),
         end_pull=vector(end_pull),
         valid=jnp.ones_like(decision.inside),
-        turn=jnp.where(curve.minimal, 0.5 * HALF_TURN, 1.5 * HALF_TURN),
+        turn=HALF_TURN - margin,
         off_end=jnp.ones_like(curve.total),
     )
 
