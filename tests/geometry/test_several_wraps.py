@@ -90,12 +90,21 @@ def test_where_contacts_with_overlapping_surfaces_do_not_converge_a_path_is_not_
     assert (difference[~regular] > 1e-3).any()
 
 
-def test_a_path_from_a_point_inside_an_ellipsoid_of_two_surfaces_has_exact_moment_arms(tmp_path):
+@pytest.mark.parametrize(
+    ("kind", "sizes", "start", "limit"),
+    [
+        ("ellipsoid", (0.03, 0.022, 0.026), (0.011, 0.016, 0.008), 1e-7),
+        ("torus", (0.02, 0.008), (0.016, 0.004, 0.003), 1e-6),
+    ],
+)
+def test_a_path_from_a_point_inside_one_of_two_surfaces_has_exact_moment_arms(
+    kind, sizes, start, limit, tmp_path
+):
     """The point counts as on the surface, along which the path begins."""
     around = SurfaceDraw("cylinder", (0.01, 0.3), "-y", center=(0.08, -0.02, 0.0))
-    write_model([SurfaceDraw("ellipsoid", (0.03, 0.022, 0.026)), around], tmp_path / "model.osim")
+    write_model([SurfaceDraw(kind, sizes), around], tmp_path / "model.osim")
     paths = muscle_paths(tmp_path / "model.osim", coordinates=COORDINATES)
-    poses = np.tile([0.011, 0.016, 0.008, 0.15, 0.01, -0.03], (8, 1))
+    poses = np.tile([*start, 0.15, 0.01, -0.03], (8, 1))
     poses[:, 2] += np.linspace(-1e-3, 1e-3, 8)
     generator, step = np.random.default_rng(0), 1e-6
     along = generator.normal(size=poses.shape)
@@ -103,4 +112,4 @@ def test_a_path_from_a_point_inside_an_ellipsoid_of_two_surfaces_has_exact_momen
     assert (paths.engine.posed(poses)["path"].nearest_points()[:, 0] < -1e-3).all()
     assert np.asarray(found.touching).all() and not np.asarray(found.regular).any()
     slope = (paths(poses + step * along).length - paths(poses - step * along).length)[:, 0] / (2.0 * step)
-    np.testing.assert_allclose(np.einsum("pc,pc->p", along, found.moment_arm[:, :, 0]), -slope, atol=1e-7)
+    np.testing.assert_allclose(np.einsum("pc,pc->p", along, found.moment_arm[:, :, 0]), -slope, atol=limit)

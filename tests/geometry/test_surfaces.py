@@ -6,14 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.optimize
 from scipy.integrate import solve_ivp
 
 from validation.wrapping.draws import draw_poses, draw_surface
-from validation.wrapping.shortest_paths import CHORDS, engine_paths, through_torus, torus_oracle
+from validation.wrapping.shortest_paths import engine_paths
 from validation.wrapping.single_path import COORDINATES, MUSCLE, SurfaceDraw, by_opensim, write_model
 from wrapjax.errors import InputError
-from wrapjax.geometry import torus
 from wrapjax.geometry.curve_length import VARIABLES
 from wrapjax.geometry.ellipsoid import planar_length, plane_through
 from wrapjax.geometry.engine import (
@@ -21,10 +19,8 @@ from wrapjax.geometry.engine import (
     PARITY,
     ExactPaths,
     nominal_parameters,
-    surfaces_of,
     wrap_at_samples,
 )
-from wrapjax.geometry.model_description import WrapObject
 from wrapjax.geometry.placed_surface import PlacedSurface
 from wrapjax.geometry.vectors import stack_components, vector
 from wrapjax.geometry.wrap_methods import SHORTEST
@@ -347,89 +343,6 @@ def test_the_curve_has_few_variables():
     assert VARIABLES <= 10
 
 
-@pytest.mark.parametrize(
-    ("sizes", "start", "end"),
-    [
-        ((0.0165, 0.0071), (-0.0042, 0.0163, 0.0085), (-0.0243, -0.0073, -0.0162)),
-        ((0.0218, 0.0068), (0.0015, -0.0269, 0.0069), (0.0582, 0.0093, -0.0505)),
-    ],
-)
-def test_of_several_ways_through_a_torus_the_shortest_is_found(sizes, start, end):
-    """Two ways are shorter than all their neighbors, and differ by a quarter of a millimeter."""
-    polylines = [through_torus(chords) for chords in CHORDS]
-    ends = np.array([*start, *end])
-    length, _, on_surface = engine_paths(SurfaceDraw("torus", sizes), ends[None])
-    expected = torus_oracle(ends[:3], ends[3:], np.array([*sizes, sizes[1]]), polylines)
-    assert on_surface[0] > 0.01
-    assert length[0] == pytest.approx(expected, abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("sizes", "start", "end"),
-    [
-        ((0.045113, 0.013557), (0.021705, -0.054605, 0.081456), (0.011597, -0.01327, -0.04094)),
-        ((0.047214, 0.011807), (-0.010343, 0.000147, 0.063848), (-0.066961, 0.023287, -0.093835)),
-        ((0.043881, 0.013719), (0.043893, 0.022519, 0.085117), (0.020972, 0.000579, -0.043986)),
-    ],
-)
-def test_a_path_that_hardly_touches_a_torus_is_found(sizes, start, end):
-    """Straight lines through the tube at a depth of a tenth of a millimeter."""
-    polylines = [through_torus(chords) for chords in CHORDS]
-    ends = np.array([*start, *end])
-    length, _, on_surface = engine_paths(SurfaceDraw("torus", sizes), ends[None])
-    expected = torus_oracle(ends[:3], ends[3:], np.array([*sizes, sizes[1]]), polylines)
-    assert 0.0 < on_surface[0] < 1e-3
-    assert length[0] == pytest.approx(expected, abs=1e-6)
-
-
-def narrow_torus():
-    """Torus of the wrist's extensors in a public model; its hole is half as wide as its tube."""
-    return SurfaceDraw("torus", (0.009, 0.006))
-
-
-def test_straight_lines_continue_the_path_through_a_narrow_torus():
-    """Its slopes by the ends are the lines' directions; lines that pass through the tube reflect the path."""
-    ends = np.array([0.0056, 0.0071, 0.0118, 0.0099, -0.0241, -0.0172])
-    moved = ends + 1e-6 * np.concatenate([np.zeros((1, 6)), np.eye(6), -np.eye(6)])
-    length, slope, on_surface = engine_paths(narrow_torus(), moved)
-    assert on_surface[0] > 0.005
-    # The polynomial's own error; of a reflected path it is 0.08.
-    np.testing.assert_allclose(slope[0], (length[1:7] - length[7:]) / 2e-6, atol=2e-5)
-
-
-def test_a_path_through_a_narrow_torus_is_the_shortest_outside_of_the_tube():
-    """Against a polyline in space whose points stay out of the tube, by sequential quadratic programming."""
-    start, end = np.array([0.0056, 0.0071, 0.0118]), np.array([0.0099, -0.0241, -0.0172])
-    (length,), _, _ = engine_paths(narrow_torus(), np.concatenate([start, end])[None])
-
-    def all_points(inner):
-        return np.concatenate([start[None], inner.reshape(-1, 3), end[None]])
-
-    def depth(inner):
-        """Distance from the tube of points between the corners, too, m."""
-        points = all_points(inner)
-        points = np.concatenate([points[1:-1], 0.5 * (points[1:] + points[:-1])])
-        return np.hypot(np.hypot(points[:, 0], points[:, 1]) - 0.009, points[:, 2]) - 0.006
-
-    def length_of(inner):
-        """With equal chords the polyline's length, mm, and more with unequal ones."""
-        chords = np.diff(all_points(inner), axis=0)
-        return 1e3 * np.sqrt(len(chords) * np.sum(chords**2))
-
-    share = np.linspace(0.0, 1.0, 22)[1:-1, None]
-    # By the hole's center, so that the polyline is on no side of it.
-    by_center = np.where(share < 0.4, start * (1.0 - share / 0.4), end * (share - 0.4) / 0.6)
-    found = scipy.optimize.minimize(
-        length_of,
-        by_center.ravel(),
-        constraints={"type": "ineq", "fun": lambda inner: 1e3 * depth(inner)},
-        method="SLSQP",
-        options={"maxiter": 300, "ftol": 1e-7},
-    )
-    assert depth(found.x).min() > -1e-6
-    assert length == pytest.approx(1e-3 * found.fun, abs=1e-4)
-
-
 #: Ends of the path of the long head of the biceps in a public model, one of them 1.7 mm inside its ellipsoid.
 INSIDE, BESIDE = (0.0158, -0.0134, 0.0015), (-0.0032, -0.0194, -0.0122)
 
@@ -444,38 +357,3 @@ def test_from_an_end_inside_an_ellipsoid_the_path_begins_along_the_surface(start
     length, slope, on_surface = engine_paths(SurfaceDraw("ellipsoid", (0.025, 0.02, 0.02)), ends)
     assert on_surface.min() > 0.005
     np.testing.assert_allclose(slope[0], (length[1:7] - length[7:]) / (2.0 * step), atol=1e-4)
-
-
-def wide_tube_contacts(ends):
-    """Contacts with a torus whose hole is less than half as wide as its tube."""
-    wrap = WrapObject(
-        "cuff", "WrapTorus", "thigh", (0.0,) * 3, (0.0,) * 3, None, None, "all", True, (0.02, 0.014)
-    )
-    surface = jax.tree.map(lambda leaf: leaf[0], surfaces_of([wrap])).placed(jnp.asarray(NOMINAL_PARAMETERS))
-    start, end = (vector(jnp.asarray(part)) for part in (ends[:, :3], ends[:, 3:]))
-    return torus.geodesic_contact(start, end, surface, torus.decide_wrapping(start, end, surface))
-
-
-def swept(ends, count):
-    """Ends of segments of which the start moves by 2 mm to either side."""
-    moves = np.linspace(-2e-3, 2e-3, count)
-    return np.array(ends) + np.outer(moves, [1.0, -1.0, 0.0, 0.0, 0.0, 0.0])
-
-
-def test_the_margin_through_a_torus_is_zero_where_the_path_takes_another_way():
-    """The margin is the other way's extra length: PGA keeps from where moment arms jump."""
-    contact = wide_tube_contacts(swept((-0.0592, 0.0327, 0.038, 0.0523, -0.0293, -0.0427), 81))
-    margin = 0.014 * (np.pi - np.asarray(contact.turn))
-    change = np.abs(np.diff(np.asarray(contact.start_pull.x)))
-    (switch,) = np.flatnonzero(change > 0.02)
-    assert change[switch] > 0.05
-    assert (margin > 0.0).all() and margin[switch : switch + 2].max() < 1e-5
-    slopes = np.diff(margin)
-    assert (slopes[:switch] < 0.0).all() and (slopes[switch + 1 :] > 0.0).all()
-
-
-def test_the_shorter_of_two_ways_through_a_narrow_hole_is_found_in_all_poses():
-    """The length has no jump where the start moves."""
-    contact = wide_tube_contacts(swept((0.0458, 0.0013, 0.0519, -0.0255, -0.0064, -0.0207), 81))
-    second = np.diff(np.asarray(contact.total), 2)
-    assert np.abs(second).max() < 2e-5

@@ -1,7 +1,7 @@
-"""Path points inside an ellipsoid, which count as on its surface, and the directions of paths from there.
+"""Path points inside an ellipsoid or a torus, which count as on its surface, and directions from there.
 
 From a point inside a surface there is no path outside of it. So that the length is continuous as a point
-moves into an ellipsoid, and moment arms are -dL/dq, the path begins at the place of the surface above the
+moves into such a surface, and moment arms are -dL/dq, the path begins at the place of the surface above the
 point. Round other surfaces the contact allows for such ends.
 """
 
@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 from wrapjax.geometry.path_on_cylinders import PathOnCylinders, PointsAndBodies, path_segments
 from wrapjax.geometry.placed_surface import PlacedSurface
 from wrapjax.geometry.vectors import safe_inverse, safe_sqrt, stack_components, vector
-from wrapjax.geometry.wrap_methods import ELLIPSOIDS, Kinds, outside
+from wrapjax.geometry.wrap_methods import MOVED_OUTSIDE, Kinds, outside
 
 # Shorter segments (m) have no direction.
 _SHORTEST = 1e-7
@@ -25,7 +25,7 @@ _SHORTEST = 1e-7
 def moved_outside(
     path: PointsAndBodies, placed: PlacedSurface, kinds: Kinds, numbers: Int[Array, " wrap"] | None
 ) -> PointsAndBodies:
-    """Move points inside ellipsoids to their surfaces, with their velocities.
+    """Move points inside ellipsoids and tori to their surfaces, with their velocities.
 
     Points are moved that are in the part of the path that may wrap round the surface.
 
@@ -38,7 +38,7 @@ def moved_outside(
     kinds, numbers
         As in `wrapjax.geometry.several_wraps.wrap_shortest`.
     """
-    if not ELLIPSOIDS & set(kinds):
+    if not MOVED_OUTSIDE & set(kinds):
         return path
     in_range = points_in_range(path)
     moving = jnp.zeros(path.position.shape[:1], bool) if path.moving is None else path.moving

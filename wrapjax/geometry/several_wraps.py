@@ -31,7 +31,7 @@ from wrapjax.geometry.path_on_cylinders import (
 from wrapjax.geometry.placed_surface import HALF_TURN, Contact, PlacedSurface, WrapMethod
 from wrapjax.geometry.points_outside import moved_outside, points_in_range, segment_directions
 from wrapjax.geometry.vectors import Vector, safe_inverse, stack_components, vector
-from wrapjax.geometry.wrap_methods import CYLINDER, ELLIPSOIDS, OPENSIM_SEVERAL, SHORTEST, Kinds, clearance
+from wrapjax.geometry.wrap_methods import CYLINDER, MOVED_OUTSIDE, OPENSIM_SEVERAL, SHORTEST, Kinds, clearance
 from wrapjax.geometry.wrapping import FREE, WrappedPath
 
 # The shortest path: most sweeps over all surfaces that determine the order of contacts, movement (m) below
@@ -103,7 +103,7 @@ def shortest_route(
     clearances = point_clearances(path, placed, kinds, numbers)
     path = moved_outside(path, placed, kinds, numbers)
     route, contacts = _shortest_path(path, surfaces, kinds, numbers)
-    if ELLIPSOIDS & set(kinds):
+    if MOVED_OUTSIDE & set(kinds):
         # Points that were moved are no longer inside.
         margins = replace(route.margins, inside=jnp.minimum(route.margins.inside, clearances.min()))
         route = route._replace(margins=margins)

@@ -72,6 +72,9 @@ class Curve(NamedTuple):
     on_surface: Float[Array, ""]
     #: Length from point to point (m).
     total: Float[Array, ""]
+    #: Slopes of the total length by the path's ends.
+    start_slope: Float[Array, " 3"]
+    end_slope: Float[Array, " 3"]
     #: Whether the path's length is stationary, and whether it is smooth and no path nearby is shorter.
     stationary: Bool[Array, ""]
     minimal: Bool[Array, ""]
@@ -112,6 +115,7 @@ def find_curve(family: Family, ends: Ends, initial: Float[Array, " 2"], search: 
     middle = 0.5 * (shape[:2] + shape[2:4]) + jnp.stack([jnp.zeros(()), jnp.asarray(MIDDLE) @ shape[4:]])
     on_surface = curve_length(family, ends, shape)
     first_direction, last_direction = _directions(family, ends.surface, shape)
+    start_slope, end_slope = _slopes(family, ends, found)
     return Curve(
         first=first,
         last=last,
@@ -120,6 +124,8 @@ def find_curve(family: Family, ends: Ends, initial: Float[Array, " 2"], search: 
         middle=family.chart(ends.surface, *middle),
         on_surface=on_surface,
         total=distance(first, ends.start) + on_surface + distance(last, ends.end),
+        start_slope=start_slope,
+        end_slope=end_slope,
         stationary=stationary,
         minimal=stationary & jnp.all(pivots > 0.0) & _smooth(family, *jax.lax.stop_gradient((ends, found))),
     )
@@ -161,24 +167,49 @@ def pull_at(
     pull
         The slope of length by the end, negative: a unit vector for an end outside.
     """
-    begins, back = jax.vjp(outside, point)
-    line = touch - begins
+    line = touch - outside(point)
     length = safe_sqrt(jnp.sum(line**2))
     # From an end on the surface the path may begin along it.
     along = jnp.where(length > _SHORTEST_LINE, line * safe_inverse(length), direction)
-    return back(along)[0]
+    return slope_by_given(point, along, outside)
+
+
+def slope_by_given(
+    point: Float[Array, " 3"],
+    slope: Float[Array, " 3"],
+    outside: Callable[[Float[Array, " 3"]], Float[Array, " 3"]],
+) -> Float[Array, " 3"]:
+    """Convert a slope of length by an end that was moved to the surface to that by the given end.
+
+    Parameters
+    ----------
+    point
+        Given end of the path (m).
+    slope
+        Slope by the end after it was moved.
+    outside
+        See `pull_at`.
+    """
+    return jax.vjp(outside, point)[1](slope)[0]
+
+
+def _slopes(
+    family: Family, ends: Ends, variables: Float[Array, " variable"]
+) -> tuple[Float[Array, " 3"], Float[Array, " 3"]]:
+    """Compute the slopes of a path's length by both of its ends, of which stationary variables are held."""
+
+    def length(points: tuple[Array, Array]) -> Array:
+        return path_length(family, ends._replace(start=points[0], end=points[1]), variables)
+
+    return jax.grad(length)((ends.start, ends.end))
 
 
 def _smooth(family: Family, ends: Ends, variables: Float[Array, " variable"]) -> Bool[Array, ""]:
     """Whether straight lines continue a curve of stationary length at both of its ends."""
     shape = curve_shape(family, ends, variables)
-
-    def length(points: tuple[Array, Array]) -> Array:
-        return path_length(family, ends._replace(start=points[0], end=points[1]), variables)
-
     smooth = jnp.asarray(True)
-    points = (ends.start, ends.end)
-    for number, (point, slope) in enumerate(zip(points, jax.grad(length)(points), strict=True)):
+    both = zip((ends.start, ends.end), _slopes(family, ends, variables), strict=True)
+    for number, (point, slope) in enumerate(both):
         line = point - family.chart(ends.surface, *shape[2 * number : 2 * number + 2])
         along = jnp.sqrt(jnp.sum(line**2) + SMALLEST_LENGTH**2)
         kink = jnp.sqrt(jnp.sum((slope - line / along) ** 2))

@@ -8,11 +8,13 @@ and the ring's angle the second one.
 
 A straight line of a path must not pass through the tube elsewhere, which it could where the hole is narrow.
 
-From an end inside the tube there is no path: the end then counts as on the surface. The
-path's direction there is then not the slope of its length.
+From an end inside the tube there is no path: the end then counts as on the surface, along which the path
+begins.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,8 +23,8 @@ from jaxtyping import Array, Bool, Float, Int
 from wrapjax.geometry import cylinder
 from wrapjax.geometry.curve_length import Ends, Family, Jet
 from wrapjax.geometry.placed_surface import HALF_TURN, Contact, Decision, PlacedSurface, over_segments
-from wrapjax.geometry.surface_curve import Curve, Search, find_curve, pull_at
-from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt, stack_components, vector
+from wrapjax.geometry.surface_curve import Curve, Search, find_curve, slope_by_given
+from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt, stack_components, vector, where
 
 # Points of a segment, or of the ring, among which the nearest is searched, and halvings of the interval
 # about it.
@@ -35,6 +37,8 @@ _STARTS = 5
 _SAME_WAY = 1e-3
 # Depth (m) up to which a line touches the tube and does not pass through it.
 _TOUCHING = 1e-7
+# Distance (m) up to which a point outside the tube is on its surface.
+_ON_SURFACE = 1e-10
 # Length of OpenSim's cylinder (m).
 _LENGTH = 10_000.0
 
@@ -46,6 +50,15 @@ class TorusDecision(Decision):
     ring_angle: Float[Array, "*segment"]
     #: Direction of the path about the tube: 1 if its z coordinate decreases on the inner side.
     direction: Float[Array, "*segment"]
+
+
+class Touch(NamedTuple):
+    """Constants that choose the point at which a curve begins or ends."""
+
+    #: Direction about the tube from the point where the line would meet the tube's axis to where it touches.
+    direction: Float[Array, ""]
+    #: Whether the path's end is on the surface itself.
+    on_surface: Bool[Array, ""]
 
 
 def decide_wrapping(start: Vector, end: Vector, torus: PlacedSurface) -> TorusDecision:
@@ -115,6 +128,13 @@ def clearance(point: Vector, torus: PlacedSurface) -> Float[Array, "*segment"]:
     return safe_sqrt(aside**2 + point.z**2) - sizes.y
 
 
+def outside(point: Vector, torus: PlacedSurface) -> Vector:
+    """Move points inside the tube to its surface, away from the ring's circle."""
+    sizes = torus.sizes
+    assert sizes is not None
+    return _moved(point, sizes)
+
+
 def geodesic_contact(start: Vector, end: Vector, torus: PlacedSurface, decision: TorusDecision) -> Contact:
     """Compute the contact of the shortest path through the hole.
 
@@ -138,6 +158,7 @@ def geodesic_contact(start: Vector, end: Vector, torus: PlacedSurface, decision:
         wraps: Array,
     ) -> tuple[Curve, Array, Array, Array]:
         given = (start, end)
+        on_surface = [_inside(point, sizes) & wraps for point in given]
         surface = jnp.stack([sizes.x, sizes.y])
         # In place of segments that do not wrap, whose contact is not used, some segment that does is
         # computed.
@@ -146,7 +167,8 @@ def geodesic_contact(start: Vector, end: Vector, torus: PlacedSurface, decision:
         direction = jnp.where(wraps, direction, 1.0)
         place = jnp.where(wraps, ring_angle, 0.0)
         always = jnp.asarray(True)
-        ends = Ends(start, end, surface, direction, -direction)
+        at_start, at_end = Touch(direction, on_surface[0]), Touch(-direction, on_surface[1])
+        ends = Ends(start, end, surface, at_start, at_end)
         starts = _initial(jax.lax.stop_gradient(ends), place)
         found = jax.vmap(lambda one: find_curve(_FAMILY, ends, one, Search(always, always)))(starts)
         clear = jax.vmap(lambda first, last: _clear(start, first, sizes) & _clear(end, last, sizes))
@@ -163,8 +185,8 @@ def geodesic_contact(start: Vector, end: Vector, torus: PlacedSurface, decision:
         return (
             taken,
             jnp.where(taken.minimal, jnp.minimum(ahead / sizes.y, 0.5 * HALF_TURN), -0.5 * HALF_TURN),
-            pull_at(given[0], taken.first, taken.first_direction, to_surface),
-            -pull_at(given[1], taken.last, -taken.last_direction, to_surface),
+            -slope_by_given(given[0], taken.start_slope, to_surface),
+            slope_by_given(given[1], taken.end_slope, to_surface),
         )
 
     curve, margin, start_pull, end_pull = over_segments(one, start)(
@@ -192,13 +214,17 @@ def _decided(
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
     """Decide whether one segment crosses the plane outside the ring or hits the tube, and where it wraps."""
     start, end, ring, tube = jax.lax.stop_gradient((start, end, ring, tube))
+    sizes = Vector(ring, tube, tube)
+    moved = _inside(start, sizes) | _inside(end, sizes)
+    start, end = _outside(start, sizes), _outside(end, sizes)
     opposite = (start[2] > 0.0) != (end[2] > 0.0)
     share = start[2] * safe_inverse(start[2] - end[2])
     crossing = start + share * (end - start)
     crosses = opposite & (crossing[0] ** 2 + crossing[1] ** 2 >= ring**2)
     nearest = start + _nearest_share(start, end, ring) * (end - start)
     aside = safe_sqrt(nearest[0] ** 2 + nearest[1] ** 2) - ring
-    hits = aside**2 + nearest[2] ** 2 < tube**2
+    # A line from the surface may leave it at once.
+    hits = safe_sqrt(aside**2 + nearest[2] ** 2) < tube - jnp.where(moved, _TOUCHING, 0.0)
     # The shortest way through the hole by a point of the tube's inner edge.
     angles = jnp.arange(_TRIALS) * (2.0 * jnp.pi / _TRIALS)
     inner = (ring - tube) * jnp.stack([jnp.cos(angles), jnp.sin(angles), jnp.zeros(_TRIALS)], axis=1)
@@ -232,17 +258,17 @@ def _initial(ends: Ends, place: Float[Array, ""]) -> Float[Array, "start 2"]:
     ring, tube = ends.surface
     trials = jnp.arange(_PAIRED) * (2.0 * jnp.pi / _PAIRED)
 
-    def tangents(point: Float[Array, " 3"], direction: Float[Array, ""]) -> tuple[Array, Array]:
-        """Tangent points at all angles: their angles about the tube, and the lines' lengths."""
-        about_tube = jax.vmap(lambda angle: _tangent(ends.surface, point, direction, angle)[0])(trials)
+    def tangents(point: Float[Array, " 3"], at: Touch) -> tuple[Array, Array, Array]:
+        """Tangent points at all angles: both of their angles, and the lines' lengths."""
+        about_tube, about_ring = jax.vmap(lambda angle: _tangent(ends.surface, point, at, angle))(trials).T
         outward = ring - tube * jnp.cos(about_tube)
-        touch = [outward * jnp.cos(trials), outward * jnp.sin(trials), -tube * jnp.sin(about_tube)]
-        return about_tube, _norm(jnp.stack(touch, axis=1) - point[None])
+        touch = [outward * jnp.cos(about_ring), outward * jnp.sin(about_ring), -tube * jnp.sin(about_tube)]
+        return about_tube, about_ring, _norm(jnp.stack(touch, axis=1) - point[None])
 
-    first, before = tangents(ends.start, ends.at_start)
-    last, after = tangents(ends.end, ends.at_end)
-    turned = ends.at_start * (last[None] - first[:, None])
-    aside = (trials[None] - trials[:, None] + jnp.pi) % (2.0 * jnp.pi) - jnp.pi
+    first, first_place, before = tangents(ends.start, ends.at_start)
+    last, last_place, after = tangents(ends.end, ends.at_end)
+    turned = ends.at_start.direction * (last[None] - first[:, None])
+    aside = (last_place[None] - first_place[:, None] + jnp.pi) % (2.0 * jnp.pi) - jnp.pi
     middle = 0.5 * (first[:, None] + last[None])
     on_surface = jnp.sqrt((tube * turned) ** 2 + ((ring - tube * jnp.cos(middle)) * aside) ** 2)
     length = before[:, None] + on_surface + after[None]
@@ -252,10 +278,13 @@ def _initial(ends: Ends, place: Float[Array, ""]) -> Float[Array, "start 2"]:
         jnp.roll(length, (one, other), (0, 1)) for one in (-1, 0, 1) for other in (-1, 0, 1) if one or other
     ]
     minimal = jnp.isfinite(length) & (length <= jnp.min(jnp.stack(around), axis=0))
+    # An end on the surface is the same point at all angles.
+    once = jnp.arange(_PAIRED) == 0
+    minimal &= (once | ~ends.at_start.on_surface)[:, None] & (once | ~ends.at_end.on_surface)[None]
     shortest, best = jax.lax.top_k(-jnp.where(minimal, length, jnp.inf).ravel(), _STARTS)
     known = jnp.isfinite(shortest)
     one, other = best // _PAIRED, best % _PAIRED
-    through = jnp.stack([trials[one], trials[one] + aside[one, other]], axis=1)
+    through = jnp.stack([first_place[one], first_place[one] + aside[one, other]], axis=1)
     opposite = (ends.start[2] > 0.0) != (ends.end[2] > 0.0)
     return jnp.where(opposite & known[:, None], through, place)
 
@@ -295,13 +324,23 @@ def _nearest_share(
     return 0.5 * (low + high)
 
 
-def _outside(point: Float[Array, " 3"], sizes: Vector) -> Float[Array, " 3"]:
-    """Move a point inside the tube to the tube's surface."""
-    distance = safe_sqrt(point[0] ** 2 + point[1] ** 2)
-    middle = jnp.stack([point[0], point[1], jnp.zeros(())]) * (sizes.x * safe_inverse(distance))
+def _inside(point: Float[Array, " 3"], sizes: Vector) -> Bool[Array, ""]:
+    """Whether a point is inside the tube or on its surface."""
+    aside = safe_sqrt(point[0] ** 2 + point[1] ** 2) - sizes.x
+    return aside**2 + point[2] ** 2 <= (sizes.y + _ON_SURFACE) ** 2
+
+
+def _moved(point: Vector, sizes: Vector) -> Vector:
+    """Move points inside the tube to its surface."""
+    onto_ring = sizes.x * safe_inverse(safe_sqrt(point.x**2 + point.y**2))
+    middle = Vector(point.x * onto_ring, point.y * onto_ring, jnp.zeros_like(point.z))
     away = point - middle
-    apart = _norm(away)
-    return jnp.where(apart < sizes.y, middle + away * (sizes.y * safe_inverse(apart)), point)
+    apart = away.norm()
+    return where(apart < sizes.y, middle + away * (sizes.y * safe_inverse(apart)), point)
+
+
+def _outside(point: Float[Array, " 3"], sizes: Vector) -> Float[Array, " 3"]:
+    return stack_components(_moved(vector(point), sizes))
 
 
 def _norm(vectors: Float[Array, "*vectors 3"]) -> Float[Array, "*vectors"]:
@@ -335,15 +374,22 @@ def _factors(
 def _tangent(
     surface: Float[Array, " 2"],
     point: Float[Array, " 3"],
-    direction: Float[Array, ""],
+    at: Touch,
     variable: Float[Array, ""],
 ) -> Float[Array, " 2"]:
-    """Angles of the point where a line is tangent to the tube's cross section at a ring angle."""
+    """Angles of the point where a line is tangent to the tube's cross section at a ring angle.
+
+    From a point on the surface the path begins there, whatever the ring angle.
+    """
     ring, tube = surface
-    outward = point[0] * jnp.cos(variable) + point[1] * jnp.sin(variable) - ring
+    # Elsewhere not used, and without a derivative on the torus' axis.
+    own = jnp.arctan2(jnp.where(at.on_surface, point[1], 0.0), jnp.where(at.on_surface, point[0], 1.0))
+    own = own + 2.0 * jnp.pi * jax.lax.stop_gradient(jnp.round((variable - own) / (2.0 * jnp.pi)))
+    place = jnp.where(at.on_surface, own, variable)
+    outward = point[0] * jnp.cos(place) + point[1] * jnp.sin(place) - ring
     toward = jnp.arctan2(-point[2], -outward)
     apart = jnp.arctan2(safe_sqrt(outward**2 + point[2] ** 2 - tube**2), tube)
-    return jnp.stack([toward + direction * apart, variable])
+    return jnp.stack([toward + jnp.where(at.on_surface, 0.0, at.direction * apart), place])
 
 
 _FAMILY = Family(_matrix, _factors, _tangent)

@@ -14,8 +14,8 @@ CYLINDER = "cylinder"
 #: Kinds of surfaces whose shortest paths have a closed form.
 CLOSED_FORMS = {CYLINDER, "sphere"}
 _BY_METHOD = {method: f"ellipsoid_{method}" for method in opensim_ellipsoid.METHODS}
-#: Kinds of ellipsoids.
-ELLIPSOIDS = frozenset(_BY_METHOD.values())
+#: Kinds of surfaces of which `outside` moves points inside; contacts with the others allow for such ends.
+MOVED_OUTSIDE = frozenset({"torus", *_BY_METHOD.values()})
 #: Kinds of surfaces by OpenSim's classes. An ellipsoid's kind includes the path's method, which OpenSim's
 #: path depends on.
 _KINDS = {"WrapCylinder": CYLINDER, "WrapSphere": "sphere", "WrapTorus": "torus"}
@@ -95,5 +95,7 @@ def clearance(point: Vector, surface: PlacedSurface, kind: str) -> Float[Array, 
 
 
 def outside(point: Vector, surface: PlacedSurface, kind: str) -> Vector:
-    """Move points inside an ellipsoid to its surface, in the surface's frame (m); others stay."""
-    return ellipsoid.outside(point, surface) if kind in ELLIPSOIDS else point
+    """Move points inside an ellipsoid or a torus to its surface, in the surface's frame (m); others stay."""
+    if kind not in MOVED_OUTSIDE:
+        return point
+    return (torus if kind == "torus" else ellipsoid).outside(point, surface)
