@@ -113,7 +113,7 @@ def test_withholding_an_effect_afterwards_or_at_once_gives_the_same_result(found
 
 
 @pytest.mark.parametrize("refused", [(), ("emg_drift",)])
-def test_nothing_is_both_fitted_and_not_testable(found, monkeypatch, tmp_path, refused):
+def test_nothing_is_both_fitted_or_ranked_and_not_testable(found, monkeypatch, tmp_path, refused):
     """With a limit that no effect reaches; but the fit of a claim that was refused is shown."""
     monkeypatch.setattr("wrapjax.diagnosis.result.MIN_DETECTABILITY", np.inf)
     changes = {"outcome": "unknown", "named": (), "tie": (), "best_partial": refused}
@@ -122,10 +122,14 @@ def test_nothing_is_both_fitted_and_not_testable(found, monkeypatch, tmp_path, r
     )
     monkeypatch.setattr(pipeline, "effects_to_refit", lambda _: [(id,) for id in sorted(SCORED)])
     again = found.without(*WITHOUT)
-    hidden = SCORED.intersection(entry.id for entry in again.result.not_testable)
+    hidden = {entry.id for entry in again.result.undetectable}
     assert ("emg_drift" in hidden) == (not refused)
     assert {id for one in again.result.refits for id in one.ids} == SCORED - hidden
     again.save(tmp_path / "gap")
+    content = json.loads((tmp_path / "gap" / "gap.json").read_text())
+    ranked, untested = ({one["id"] for one in content[key]} for key in ("effects", "not_testable"))
+    assert {one["id"] for one in content["undetectable"]} == hidden <= ranked
+    assert untested and not untested & ranked
 
 
 def test_a_refused_claim_is_not_probable(found, monkeypatch):

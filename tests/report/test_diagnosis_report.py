@@ -343,7 +343,7 @@ def test_untested_effects_are_stated():
 
 def test_undetectable_effects_do_not_count_as_tested():
     hidden = NotTestable("slow_fibers", "one of expected size would not show")
-    text = diagnosis_findings(replace(named(), not_testable=(hidden,)))[0]
+    text = diagnosis_findings(replace(named(), undetectable=(hidden,)))[0]
     assert "among the 4 effects testable with these data" in text
 
 

@@ -474,7 +474,7 @@ def describe_effect(
     if refused or evidence > detection_threshold:
         return "would explain error, but is not named"
     if detectability < MIN_DETECTABILITY:
-        return "not testable with these data"
+        return "too weak to be seen with these data"
     if detectability < RELIABLE_DETECTABILITY:
         return "not seen; a weak one could be missed"
     return "not seen; one of expected size would be"

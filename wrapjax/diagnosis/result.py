@@ -86,7 +86,8 @@ class DiagnosisResult:
     none_probability, unknown_probability
         Probability of no effect, and of a cause outside the catalogue.
     not_testable, withheld
-        Effects that this recording cannot show, and those left out of the catalogue on request.
+        Effects for which the subject or the recording lacks something, and those left out of the catalogue on
+        request.
     coordinates, trials, recordings, uses, speeds, time
         Names of the coordinates; and name, recording, use, speed (m/s, NaN if unknown) and time (s) of each
         cycle.
@@ -128,6 +129,8 @@ class DiagnosisResult:
         What tasks other than gait added to the evidence; None if there are none.
     joints
         What uncertain places of joints do; None without a diagnosis, or where the recording does not show it.
+    undetectable
+        Those of ``effects`` that this recording would not show if they had their expected size.
     """
 
     outcome: str
@@ -172,6 +175,7 @@ class DiagnosisResult:
     undriven_capacity: Mapping[str, CapacityShare] = field(default_factory=dict)
     task_evidence: TaskEvidence | None = None
     joints: UncertainJoints | None = None
+    undetectable: tuple[NotTestable, ...] = ()
 
 
 def result_without_diagnosis(
@@ -312,7 +316,7 @@ def diagnosis_result(
         effects=findings,
         none_probability=probability.none,
         unknown_probability=probability.unknown,
-        not_testable=(*result.not_testable, *undetectable),
+        undetectable=undetectable,
         refits=shown,
         shares=_shares(shown, decision.named),
         distinguishability=(scores.compared, scores.distinguishability),

@@ -154,6 +154,7 @@ def describe_diagnosis(subject: Subject, result: DiagnosisResult) -> dict[str, A
         "shrinkage": _shrinkage(result),
         "mae_Nm": mean_absolute_errors(result),
         "not_testable": [asdict(one) for one in result.not_testable],
+        "undetectable": [asdict(one) for one in result.undetectable],
         "advice": [asdict(one) for one in result.advice],
         "muscle_law": {"parameters": result.muscle_law, "evidence_nats": result.law_evidence},
         "undriven_capacity": {name: asdict(one) for name, one in result.undriven_capacity.items()},

@@ -198,14 +198,15 @@ def _gates_section(result: DiagnosisResult) -> str:
 
 
 def _untested_section(result: DiagnosisResult) -> str:
-    if not result.not_testable:
+    untested = (*result.not_testable, *result.undetectable)
+    if not untested:
         return ""
     return markup.section(
         "Effects that this recording cannot test",
         markup.paragraph("These effects may be present; the diagnosis makes no statement about them."),
         markup.table(
             ("effect", "id", "reason"),
-            [(readable(effect.id), effect.id, effect.reason) for effect in result.not_testable],
+            [(readable(effect.id), effect.id, effect.reason) for effect in untested],
             caption="Effects of the catalogue that these data cannot show.",
         ),
     )

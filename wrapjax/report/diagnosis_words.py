@@ -59,8 +59,8 @@ def diagnosis_findings(result: DiagnosisResult) -> list[str]:
 def untested_findings(result: DiagnosisResult) -> list[str]:
     """Write sentences on the effects that the diagnosis could not test or did not include."""
     sentences = []
-    if result.not_testable:
-        names = effect_list(effect.id for effect in result.not_testable)
+    if untested := (*result.not_testable, *result.undetectable):
+        names = effect_list(effect.id for effect in untested)
         sentences.append(f"Not testable with this recording: {names}.")
     if result.withheld:
         sentences.append(
@@ -136,8 +136,8 @@ def gate_rows(result: DiagnosisResult) -> list[tuple[str, str, str, str]]:
 
 def testable(result: DiagnosisResult) -> list[EffectFinding]:
     """List the effects that this recording would show if they were present."""
-    not_testable = {effect.id for effect in result.not_testable}
-    return [effect for effect in result.effects if effect.id not in not_testable]
+    undetectable = {effect.id for effect in result.undetectable}
+    return [effect for effect in result.effects if effect.id not in undetectable]
 
 
 def positive_controls(result: DiagnosisResult) -> list[EffectFinding]:
