@@ -46,8 +46,6 @@ notebooks: $(VENV)/.docs-ready
 wheel: setup
 	$(RUN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
 
-# Most programs of tests run once or twice, and take longer to optimise than they save; `make test-all` optimises.
-test: export XLA_FLAGS ?= --xla_backend_optimization_level=0
 test: setup
 	$(PYTEST) -m "not slow and not gpu"
 
