@@ -163,7 +163,7 @@ def test_a_strongest_negative_control_means_an_unknown_cause():
 
 def test_the_description_of_an_effect_follows_its_detectability():
     assert "best" in describe_effect(20.0, 1.0, 5.0, named=True)
-    assert "not testable" in describe_effect(4.0, 1.0, 5.0, named=False)
+    assert "too weak" in describe_effect(4.0, 1.0, 5.0, named=False)
     assert "not named" in describe_effect(20.0, 1.0, 5.0, named=False), "larger than expected, so it shows"
     assert "not named" in describe_effect(20.0, 8.0, 5.0, named=False)
     assert "not named" in describe_effect(4.0, 1.0, 5.0, named=False, refused=True), "a claim was tested"

@@ -105,8 +105,7 @@ def clearance(point: Vector, ellipsoid: PlacedSurface) -> Float[Array, "*segment
 
 def outside(point: Vector, ellipsoid: PlacedSurface) -> Vector:
     """Move points inside the ellipsoid to its surface, along the line from the center."""
-    relative = scaled(point, ellipsoid).norm()
-    return point * jnp.where(relative < 1.0, safe_inverse(relative), 1.0)
+    return point * _factor_onto_sphere(scaled(point, ellipsoid).norm())
 
 
 def geodesic_contact(start: Vector, end: Vector, ellipsoid: PlacedSurface, decision: Decision) -> Contact:
@@ -210,8 +209,12 @@ def _shortest(
 
 def _outside(point: Float[Array, " 3"]) -> Float[Array, " 3"]:
     """Move a point inside the unit sphere to the sphere."""
-    distance = safe_sqrt(jnp.sum(point**2))
-    return point * jnp.where(distance < 1.0, safe_inverse(distance), 1.0)
+    return point * _factor_onto_sphere(safe_sqrt(jnp.sum(point**2)))
+
+
+def _factor_onto_sphere(distance: Float[Array, "*point"]) -> Float[Array, "*point"]:
+    """Factor that moves points inside the unit sphere to the sphere, from their distances to its center."""
+    return jnp.where(distance < 1.0, safe_inverse(distance), 1.0)
 
 
 def _crossing_segment(
