@@ -10,6 +10,7 @@ import pytest
 from tests.osim.bone_file import TETRAHEDRON
 from tests.path_sources.wrapped_knee import wrapped_model
 from tests.subject.synthetic import write_subject
+from wrapjax.calibration.problem import matching_path_source
 from wrapjax.cli.command_line import main
 from wrapjax.errors import InputError
 from wrapjax.geometry import training_samples
@@ -161,6 +162,21 @@ def test_bounds_stay_where_no_bone_is_left(with_bone, free):
 def test_nothing_to_free_near_the_bone_is_an_error(with_bone):
     with pytest.raises(InputError, match=r"stays within 0.01 mm of its nominal distance from the bones"):
         near(with_bone, 1e-5)
+
+
+def test_the_paths_of_the_other_leg_have_the_same_limits(with_bone, fewer_samples):
+    person, bones = with_bone
+    exact = exact_geometry(person, bone_folders=(bones,), bone_distance=0.002)
+    other = matching_path_source(exact, person)
+    assert other.key == exact.key and (other.bones.folders, other.bones.distance) == ((bones,), 0.002)
+    polynomials, thresholds = fit(person, "engine"), PhysiologicalThresholds(bone_distance=0.002)
+    free, near = (
+        fit_wraps(person, polynomials, thresholds=thresholds, bone_folders=folders)
+        for folders in ((), (bones,))
+    )
+    assert matching_path_source(free, person).wraps.thresholds == thresholds
+    with pytest.raises(InputError, match="which has no bones of this leg"):
+        matching_path_source(near, person)
 
 
 def test_calibrate_takes_bones(with_bone, free, tmp_path, capsys):
