@@ -13,7 +13,6 @@ from tests.subject.synthetic import write_subject
 from wrapjax.calibration.problem import matching_path_source
 from wrapjax.cli.command_line import main
 from wrapjax.errors import InputError
-from wrapjax.geometry import training_samples
 from wrapjax.geometry.engine import surfaces_of
 from wrapjax.geometry.physiological import PhysiologicalThresholds, distance_from_bones
 from wrapjax.geometry.wrapping import NOMINAL
@@ -30,14 +29,6 @@ MESH = """<attached_geometry><Mesh name="bone">
 </Mesh></attached_geometry>"""
 #: All points of the bone; the cylinder's hind side is 1 mm in front of the foremost.
 BEHIND = "-0.056 -0.4 0  -0.06 -0.39 0  -0.06 -0.41 0  -0.07 -0.4 0  -0.08 -0.4 0"
-
-
-@pytest.fixture(scope="module")
-def fewer_samples():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training_samples, "TRAINING_SAMPLES", 300)
-        patch.setattr(training_samples, "VALIDATION_SAMPLES", 60)
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -25,8 +25,8 @@ ELLIPSOID = """<WrapEllipsoid name="kneecap"><active>true</active><xyz_body_rota
  <translation>0.02 -0.4 0.005</translation><quadrant>x</quadrant><dimensions>0.036 0.045 0.04</dimensions>
  </WrapEllipsoid>"""
 TORUS = """<WrapTorus name="kneecap"><active>true</active><xyz_body_rotation>1.57 0 0</xyz_body_rotation>
- <translation>0.07 -0.36 -0.015</translation><quadrant>all</quadrant><inner_radius>0.021</inner_radius>
- <outer_radius>0.035</outer_radius></WrapTorus>"""
+ <translation>0.02 -0.36 0.005</translation><quadrant>all</quadrant><inner_radius>0.03</inner_radius>
+ <outer_radius>0.05</outer_radius></WrapTorus>"""
 #: Muscle, surface, the largest difference of its length from OpenSim's (m), and how far OpenSim's may be from
 #: the shortest ones (m, root mean square): OpenSim replaces a torus by a cylinder.
 CASES = {

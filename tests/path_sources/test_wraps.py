@@ -15,7 +15,6 @@ from tests.path_sources.wrapped_knee import wrapped_model
 from tests.subject.synthetic import write_subject
 from wrapjax.calibration.calibration import calibrate
 from wrapjax.errors import InputError
-from wrapjax.geometry import training_samples
 from wrapjax.geometry.engine import ExactPaths, wrap_at_samples
 from wrapjax.geometry.physiological import PhysiologicalThresholds
 from wrapjax.geometry.wrapping import NOMINAL
@@ -29,20 +28,14 @@ from wrapjax.path_sources.polynomial_fit import load_fit
 from wrapjax.path_sources.wrap_fitting import fit_wraps
 from wrapjax.subject.subject import load_subject as load_subject
 
+pytestmark = pytest.mark.usefixtures("fewer_samples")
+
 
 @pytest.fixture(scope="module")
 def person(tmp_path_factory):
     folder = write_subject(tmp_path_factory.mktemp("wrapped") / "synthetic")
     (folder / "model.osim").write_text(wrapped_model(), encoding="utf-8")
     return load_subject(folder)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def fewer_samples():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training_samples, "TRAINING_SAMPLES", 300)
-        patch.setattr(training_samples, "VALIDATION_SAMPLES", 60)
-        yield
 
 
 @pytest.fixture(scope="module")
