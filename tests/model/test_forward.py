@@ -123,6 +123,13 @@ def test_vmap_over_parameters_equals_a_loop(parameters, recording):
         np.testing.assert_allclose(mapped[row], alone, rtol=1e-11, atol=1e-10)
 
 
+def test_chosen_frames_have_the_states_of_all_frames(parameters, recording, states):
+    """Activation has its history where single frames alone are evaluated."""
+    frames = np.array([0, 2, 5, FRAMES - 1])
+    chosen = run_all(CURVES, parameters, recording.at_frames(frames))
+    assert_trees_close(chosen, jax.tree.map(lambda leaf: leaf[..., frames], states))
+
+
 def test_padding_is_trimmed_after_the_dynamics(parameters, recording, states):
     """The activation in the first frame of a cycle depends on the EMG before it."""
     before = np.arange(FRAMES + 2 * PADDING - 1) < PADDING

@@ -210,7 +210,10 @@ class Objective(AbstractCalibration):
     def _muscle_outputs(self, single, path, scale, base, emg, parts):
         """Compute the moment of one muscle and the quantities of its penalties and limits."""
         parameters = self.variables.insert(base, single * scale)
-        state = muscle_state_along(path, self.curves, parameters, emg, self.recording.padding, parts)
+        recording = self.recording
+        state = muscle_state_along(
+            path, self.curves, parameters, emg, recording.padding, parts, recording.frames
+        )
         return state.moment, tuple(penalty.read(parameters, state) for penalty in self._all_penalties)
 
     def _muscle_slopes(self, inputs: tuple):

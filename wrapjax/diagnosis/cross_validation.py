@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from wrapjax.diagnosis.joint_fit import JointFit, JointProblem, fit_jointly
 from wrapjax.io.store import Store
+from wrapjax.threads import map_in_threads
 
 #: Largest number of blocks; with fewer cycles than this at any speed, single cycles are left out.
 BLOCKS = 5
@@ -128,13 +129,19 @@ def cross_fit(
     def fit_to(used: Bool[np.ndarray, " fitted"]) -> JointFit:
         return fit_jointly(problem, full.variables, used, cache=cache)
 
-    for block in plan.blocks if len(plan.blocks) > 1 else ():
-        left_out = plan.calibration[block]
-        predicted[left_out] = _predict(fit_to(~np.isin(positions, block)), prediction)[left_out]
+    blocks = plan.blocks if len(plan.blocks) > 1 else ()
     known = np.unique(plan.speeds)
+    speeds_alone = known if len(known) > 1 else known[:0]
+    fits = map_in_threads(
+        fit_to,
+        [~np.isin(positions, block) for block in blocks] + [plan.speeds == speed for speed in speeds_alone],
+    )
+    for block, fit in zip(blocks, fits, strict=False):
+        left_out = plan.calibration[block]
+        predicted[left_out] = _predict(fit, prediction)[left_out]
     if len(known) < 2:
         return CrossFit(full, predicted, (), predicted if plan.new_speed.any() else None)
-    of_speeds = tuple(fit_to(plan.speeds == speed) for speed in known)
+    of_speeds = tuple(fits[len(blocks) :])
     if plan.new_speed.any():
         return CrossFit(full, predicted, of_speeds, predicted)
     at_other_speed = np.array(predicted)

@@ -317,10 +317,11 @@ def moment_slopes(
     frames: Int[np.ndarray, " phase"],
 ) -> Float[np.ndarray, "variable cycle coordinate phase"]:
     """Differentiate the predicted moments over this recording by the variables, muscle by muscle, N m."""
-    shape = recording.path.nominal.moment_arm.shape[1:]
+    chosen = recording.at_frames(frames)
+    shape = chosen.path.nominal.moment_arm.shape[1:]
     moments_only = Objective(
         curves=problem.curves,
-        recording=recording,
+        recording=chosen,
         measured=jnp.zeros(shape),
         variables=problem.variables,
         penalties=(),
@@ -329,7 +330,7 @@ def moment_slopes(
         moment_error=np.array(1.0 / np.sqrt(np.prod(shape))),
     )
     jacobian = jax.jit(Objective.moment_jacobian)(moments_only, variables)
-    return np.asarray(jacobian).T.reshape(-1, *shape)[..., frames]
+    return np.asarray(jacobian).T.reshape(-1, *shape)
 
 
 def _usual_spread(

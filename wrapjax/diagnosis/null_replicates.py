@@ -27,6 +27,7 @@ from wrapjax.model.forward import Recording, joint_moments
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.muscle.curves import AbstractCurves
 from wrapjax.muscle.excitation import EmgSpline
+from wrapjax.threads import map_in_threads
 
 #: Standard deviation of relative errors of moment arms; and of parameters, in prior standard deviations.
 ARM_ERROR, PARAMETER_ERROR = 0.08, 0.3
@@ -143,9 +144,14 @@ def null_replicate_residuals(
     _, cycles, coordinates, phases = linearized.slopes.shape
     frames = phase_frames(recording.path.nominal.length.shape[-1])
     noise = model.noise_root(phases)
-    residuals: list[np.ndarray] = []
-    for number, key in enumerate(jax.random.split(jax.random.key(seed), count)):
-        parameter_key, muscle_key = jax.random.split(key, 2)
+    # Moments are as precise as the subject's fit left them, and the prior is that of the calibration.
+    prior = np.mean(linearized.fitted_residual**2) * np.linalg.inv(
+        linearized.prior_root @ linearized.prior_root.T
+    )
+    keys = jax.random.split(jax.random.key(seed), count)
+
+    def simulated_residual(number: int) -> Float[np.ndarray, " row"]:
+        parameter_key, muscle_key = jax.random.split(keys[number], 2)
         deviates = np.asarray(jax.random.normal(parameter_key, linearized.from_prior_mean.shape))
         shift = PARAMETER_ERROR * linearized.prior_root @ deviates
         true = np.clip(model.variables + shift, layout.lower, layout.upper)
@@ -155,25 +161,25 @@ def null_replicate_residuals(
         draws = np.random.default_rng([seed, number]).normal(size=(cycles, coordinates * phases))
         measured = np.asarray(moments)[..., frames].reshape(cycles, -1)
         measured = measured + np.einsum("cij,cj->ci", noise, draws)
-        residuals.append(_residual_at_prior_mean(model, measured.ravel(), frames))
-    return np.array(residuals)
+        return _residual_at_prior_mean(model, prior, measured.ravel(), frames)
+
+    return np.array(map_in_threads(simulated_residual, range(count)))
 
 
 def _residual_at_prior_mean(
-    model: NullModel, measured: Float[np.ndarray, " row"], frames: Int[np.ndarray, " phase"]
+    model: NullModel,
+    prior: Float[np.ndarray, "variable variable"],
+    measured: Float[np.ndarray, " row"],
+    frames: Int[np.ndarray, " phase"],
 ) -> Float[np.ndarray, " row"]:
     """Calibrate by damped Gauss-Newton steps, and move the residual to the prior mean of the variables."""
     problem, linearized = model.problem, model.linearized
     lower, upper = np.asarray(problem.lower), np.asarray(problem.upper)
-    # Moments are as precise as the subject's fit left them, and the prior is that of the calibration.
-    prior = np.mean(linearized.fitted_residual**2) * np.linalg.inv(
-        linearized.prior_root @ linearized.prior_root.T
-    )
     prior_mean = model.variables - linearized.from_prior_mean
+    chosen = model.recording.at_frames(frames)
 
     def residual_at(variables: Float[np.ndarray, " variable"]) -> Float[np.ndarray, " row"]:
-        predicted = _moments(problem, jnp.asarray(variables), model.recording)
-        return measured - np.asarray(predicted)[..., frames].ravel()
+        return measured - np.asarray(_moments(problem, jnp.asarray(variables), chosen)).ravel()
 
     def cost(variables: Float[np.ndarray, " variable"], residual: Float[np.ndarray, " row"]) -> float:
         deviation = variables - prior_mean

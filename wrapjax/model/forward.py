@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -36,6 +37,13 @@ class Recording(eqx.Module):
     path: AbstractPath
     #: Frames of EMG before each cycle.
     padding: int = eqx.field(static=True)
+    #: Numbers of the frames of a cycle at which paths are given and moments computed; None for all.
+    frames: tuple[int, ...] | None = eqx.field(static=True, default=None)
+
+    def at_frames(self, frames: Int[np.ndarray, " chosen"]) -> Recording:
+        """Select frames, with the nominal paths held; alterations need all frames."""
+        chosen: PathState = jax.tree.map(lambda leaf: leaf[..., frames], _frames(self.path.nominal))
+        return replace(self, path=fixed_path(chosen), frames=tuple(frames.tolist()))
 
     def select_trials(self, trials: Int[np.ndarray, " chosen"]) -> Recording:
         """Select cycles by their numbers, with the nominal paths held."""
@@ -67,6 +75,7 @@ def muscle_state_along(
     emg: EmgSpline,
     padding: int,
     alterations: tuple[MuscleAlteration, ...] = (),
+    frames: tuple[int, ...] | None = None,
 ) -> MuscleState:
     """Compute the state of one muscle over all cycles, given its path.
 
@@ -83,6 +92,8 @@ def muscle_state_along(
         Frames of EMG before each cycle.
     alterations
         Changes of this muscle, applied in their order within each stage.
+    frames
+        Numbers of the frames of a cycle at which the path is given; None for all.
 
     Returns
     -------
@@ -105,7 +116,7 @@ def muscle_state_along(
         neural = neural_activation(*dynamics, start)
     else:
         neural = personal_neural_activation(*dynamics, law, start)
-    inside = slice(padding, padding + path.length.shape[-1])
+    inside = padding + np.asarray(range(path.length.shape[-1]) if frames is None else frames)
     activation = muscle_activation(jnp.maximum(neural[:, inside], 0.0), own.activation_nonlinearity)
     activation = activation if law is None else personal_shape(activation, law)
     for alteration in alterations:
@@ -147,7 +158,7 @@ def muscle_states(
     """
     path = altered_paths(recording.path.at(parameters.path_changes), alterations)
     emg = altered_emg(recording.emg, alterations)
-    return jax.vmap(muscle_state_along, in_axes=(0, None, 0, 0, None, 0))(
+    return jax.vmap(partial(muscle_state_along, frames=recording.frames), in_axes=(0, None, 0, 0, None, 0))(
         path, curves, parameters, emg, recording.padding, muscle_alterations(alterations)
     )
 

@@ -22,6 +22,7 @@ from jaxtyping import Float
 
 from wrapjax.errors import ComputationError
 from wrapjax.osim.path_engine import PathEngine, WrapParameters
+from wrapjax.threads import usable_cores
 
 #: Remaining work (s) above which workers are started. Each of them imports OpenSim and loads the model, which
 #: takes a few seconds.
@@ -83,7 +84,7 @@ def analyse_chunks(
             yield key, *_analyse(engine, chunks[key])
             if processes is None:
                 remaining = (time.monotonic() - started) * len(waiting)
-                processes = min(_cores(), MAX_WORKERS) if remaining > POOL_PAYS_AFTER_S else 1
+                processes = min(usable_cores(), MAX_WORKERS) if remaining > POOL_PAYS_AFTER_S else 1
             if processes > 1:
                 break
     if waiting:
@@ -178,11 +179,3 @@ def _analyse(engine: PathEngine, chunk: Chunk) -> tuple[Lengths, MomentArms]:
     if isinstance(chunk, Placed):
         return engine.analyse_placed(*chunk)
     return engine.analyse(chunk)
-
-
-def _cores() -> int:
-    """Return the number of cores that this process may use or, where this is unknown, of all cores."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:
-        return os.cpu_count() or 1
