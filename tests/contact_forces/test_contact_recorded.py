@@ -12,7 +12,7 @@ from wrapjax.contact_forces.contact_force import (
     sum_muscle_forces,
 )
 from wrapjax.contact_forces.contact_result import JOINT_REACTION, peak_windows, peaks
-from wrapjax.diagnosis.recorded_inputs.read_gait import read_recorded_gait
+from wrapjax.diagnosis.recorded_inputs.read_movement import read_recorded_movement
 from wrapjax.evaluation.stored_run import read_curves
 from wrapjax.geometry.engine import PARITY
 from wrapjax.osim.model import describe_model
@@ -66,7 +66,7 @@ def test_lines_of_action_agree_with_opensim(run):
     read = read_curves(run)
     subject, model = read.subject, describe_model(read.subject.model_file)
     joints = tuple(_joints(subject.model_file, subject.trials.moment_coordinates).values())
-    walk, _ = read_recorded_gait(subject)
+    walk, _ = read_recorded_movement(subject)
     question = (walk, subject.model_file, joints, read.run.muscles)
     (with_muscles, _), (without, _) = (
         _joint_reactions(*question, force) for force in (read.force, 0.0 * read.force)

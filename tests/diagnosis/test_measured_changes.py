@@ -14,8 +14,8 @@ from tests.subject.synthetic_forces import LOADS, POINT, TORQUE, force, with_for
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.measured_motion import foot_loads, skin_slides
 from wrapjax.diagnosis.effects.scaled_model import FOOT_DISPLACED, FOOT_HELD
-from wrapjax.diagnosis.recorded_inputs.read_gait import read_recorded_gait
-from wrapjax.diagnosis.recorded_inputs.recorded_gait import UP, RecordedGait
+from wrapjax.diagnosis.recorded_inputs.read_movement import read_recorded_movement
+from wrapjax.diagnosis.recorded_inputs.recorded_movement import UP, RecordedMovement
 from wrapjax.diagnosis.subject_context import compute_measured_changes
 from wrapjax.errors import InputError
 from wrapjax.osim.mechanics import Mechanics
@@ -33,7 +33,7 @@ def subject(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def found(subject):
-    return compute_measured_changes(read_recorded_gait(subject)[0])
+    return compute_measured_changes(read_recorded_movement(subject)[0])
 
 
 @pytest.fixture(scope="module")
@@ -165,7 +165,7 @@ def test_a_turned_knee_axis_contains_moments_across_the_hinge(found, leg):
 def test_crossed_plates_exchange_shares_of_the_feet(subject, found, leg):
     """This foot's force, and the other's at this foot's center of pressure, by cross products."""
     time, (hip, _), _, _ = leg
-    gait, _ = read_recorded_gait(subject)
+    gait, _ = read_recorded_movement(subject)
     other = gait.other_foot_wrench()[3:].reshape(3, *time.shape)
     vertical = force(time)[1]
     limit = 0.05 * vertical.max()
@@ -216,7 +216,7 @@ def test_missing_recordings_give_a_reason(subject, found):
     one, *others = subject.recordings
     for key, word in (("ground_forces", "no ground reaction forces"), ("external_loads", "on what body")):
         without = dataclasses.replace(subject, recordings=(dataclasses.replace(one, **{key: None}), *others))
-        gait, reason = read_recorded_gait(without)
+        gait, reason = read_recorded_movement(without)
         assert gait is None and word in reason
     # The angles of the hip are not recorded.
     knee = dataclasses.replace(
@@ -226,7 +226,7 @@ def test_missing_recordings_give_a_reason(subject, found):
         angles=subject.trials.angles[:, 1:],
         angular_velocities=subject.trials.angular_velocities[:, 1:],
     )
-    gait, reason = read_recorded_gait(dataclasses.replace(subject, trials=knee))
+    gait, reason = read_recorded_movement(dataclasses.replace(subject, trials=knee))
     assert gait is None and "angles of these trials lack hip_flexion_l" in reason
 
 
@@ -235,14 +235,14 @@ def test_an_unknown_body_is_named(subject, tmp_path):
     file.write_text(LOADS.replace("tibia_l", "tibia_r"))
     wrong = tuple(dataclasses.replace(trial, external_loads=file) for trial in subject.recordings)
     with pytest.raises(InputError, match=r"loads.xml.*tibia_r.*no such body.*'tibia_l'"):
-        read_recorded_gait(dataclasses.replace(subject, recordings=wrong))
+        read_recorded_movement(dataclasses.replace(subject, recordings=wrong))
 
 
 @pytest.fixture(scope="module")
 def recorded(data_folder):
     """A healthy adult with full kinematics and both feet on plates."""
     subject = load_subject(data_folder / "healthy_overground")
-    gait = read_recorded_gait(subject)[0]
+    gait = read_recorded_movement(subject)[0]
     return subject, gait, compute_measured_changes(gait)
 
 
@@ -283,7 +283,7 @@ def test_foot_deformation_agrees_with_inverse_dynamics_of_the_changed_motion(rec
         angles=trials.angles + askew,
         angular_velocities=trials.angular_velocities + np.gradient(askew, axis=-1) / step,
     )
-    moved, _ = read_recorded_gait(dataclasses.replace(subject, trials=bent))
+    moved, _ = read_recorded_movement(dataclasses.replace(subject, trials=bent))
     before, after = moments_of(gait), moments_of(moved)
     expected = np.stack([after[name] - before[name] for name in trials.moment_coordinates])
     slope = change(found, "foot_deformation", where, bend=0.02)
@@ -307,7 +307,7 @@ def test_soft_tissue_artifact_agrees_with_inverse_dynamics_of_the_changed_motion
         rates[:, rows[knee]] += 0.02 * by_phase / duration + 0.01 * trials.angular_velocities[:, rows[knee]]
         rates[:, rows[knee]] += 0.03 * trials.angular_velocities[:, hip]
         other = dataclasses.replace(trials, angles=angles, angular_velocities=rates)
-        moved, _ = read_recorded_gait(dataclasses.replace(subject, trials=other))
+        moved, _ = read_recorded_movement(dataclasses.replace(subject, trials=other))
         before, after = moments_of(gait), moments_of(moved)
         expected = np.stack([after[name] - before[name] for name in names])
         effect_sizes = np.zeros(3 * len(names))
@@ -319,7 +319,7 @@ def test_soft_tissue_artifact_agrees_with_inverse_dynamics_of_the_changed_motion
 
 
 def moments_with(subject, file):
-    return moments_of(read_recorded_gait(dataclasses.replace(subject, model_file=file))[0])
+    return moments_of(read_recorded_movement(dataclasses.replace(subject, model_file=file))[0])
 
 
 def with_other_joint(subject, coordinate, folder, change_frames):
@@ -406,7 +406,7 @@ def test_a_joint_without_offset_frames_is_not_displaced(recorded, tmp_path):
     file = tmp_path / "bare.osim"
     bare = f"<socket_child_frame>/bodyset/{body}</socket_child_frame>"
     file.write_text(text.replace(own, bare), encoding="utf-8")
-    gait, _ = read_recorded_gait(dataclasses.replace(subject, model_file=file))
+    gait, _ = read_recorded_movement(dataclasses.replace(subject, model_file=file))
     assert np.abs(gait.derivative_by_joint("hip_flexion_r", np.ones(3), np.zeros(3))).max() == 0.0
     assert np.abs(gait.derivative_by_joint("knee_angle_r", np.ones(3), np.zeros(3))).max() > 0.0
 
@@ -455,7 +455,7 @@ def test_the_other_foot_is_estimated_half_a_cycle_away():
         mass_wrench=none,
         inertia_wrench=none,
     )
-    gait = RecordedGait(
+    gait = RecordedMovement(
         side="r",
         time=phase[None],
         motion=Motion((), *(np.zeros((0, phase.size)) for _ in range(3))),

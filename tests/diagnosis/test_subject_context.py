@@ -13,7 +13,7 @@ from wrapjax.diagnosis.effects.catalogue import CATALOGUE, available_effects, ca
 from wrapjax.diagnosis.effects.effect import Effects, NotTestable
 from wrapjax.diagnosis.effects.scaled_model import FOOT_HELD, JOINT_AXIS_ROTATION
 from wrapjax.diagnosis.prediction import predicted_moments
-from wrapjax.diagnosis.recorded_inputs.read_gait import read_recorded_gait
+from wrapjax.diagnosis.recorded_inputs.read_movement import read_recorded_movement
 from wrapjax.diagnosis.recorded_inputs.recorded_paths import RecordedPaths
 from wrapjax.diagnosis.subject_context import build_context, wrap_changes
 from wrapjax.geometry.engine import ExactPaths
@@ -168,7 +168,7 @@ def test_derivatives_of_paths_by_the_knee_axis(tmp_path):
     beside = ExactPaths(
         with_moved_ends(whole.model, whole.muscles, -1, 2, 0.03), whole.muscles, whole.coordinates
     )
-    gait, _ = read_recorded_gait(subject)
+    gait, _ = read_recorded_movement(subject)
     slopes = JOINT_AXIS_ROTATION.path_derivatives(RecordedPaths(subject, gait, beside))[FOOT_HELD]
     hip, knee = np.moveaxis(subject.trials.angles, 1, 0)
     forward = {"recfem_l": 0.05, "semiten_l": -0.05}

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.diagnosis.walking_and_tasks import load_with_seven_cycles
 from tests.subject.task_folders import write_mixed_subject
 from wrapjax.calibration.calibration import calibrate
 from wrapjax.diagnosis.diagnosis import diagnose_calibrated, diagnosis_input
@@ -21,7 +22,6 @@ from wrapjax.diagnosis.score import score
 from wrapjax.diagnosis.task_covariance import ErrorSizes, LinearizedTasks, TaskCovariance
 from wrapjax.path_sources.path_fitting import fit
 from wrapjax.subject.gait_alone import with_gait_alone
-from wrapjax.subject.subject import load_subject
 
 KEPT = {"joint_damping", "emg_drift", "curve_family"}
 WITHOUT = sorted(set(CATALOGUE) - KEPT)
@@ -30,31 +30,7 @@ WITHOUT = sorted(set(CATALOGUE) - KEPT)
 @pytest.fixture(scope="module")
 def mixed(tmp_path_factory):
     """Seven cycles of walking, six of them for calibration, a passive rotation of the knee, and a squat."""
-    subject = load_subject(write_mixed_subject(tmp_path_factory.mktemp("subjects") / "mixed"))
-    generator = np.random.default_rng(0)
-    gait = np.flatnonzero(subject.trials.is_gait)
-    others = np.flatnonzero(~subject.trials.is_gait)
-    trials = subject.trials.select(np.concatenate([np.resize(gait, 7), others]))
-    count = len(others)
-    phase = np.linspace(0.0, 2.0 * np.pi, trials.moments.shape[-1])
-    waves = np.stack([np.ones_like(phase), np.sin(phase), np.cos(phase)])
-    noise = np.zeros(trials.moments.shape)
-    noise[:7] = generator.normal(size=(*noise[:7].shape[:2], 3)) @ waves
-    later = np.concatenate([10.0 * np.arange(7), np.zeros(count)])[:, None]
-    trials = dataclasses.replace(
-        trials,
-        names=(*(f"walk/{number:02d}" for number in range(7)), *trials.names[7:]),
-        recordings=(*("walk",) * 7, *trials.recordings[7:]),
-        uses=(*("calibration",) * 6, "validation", *trials.uses[7:]),
-        speeds=np.concatenate([[0.8, 0.8, 0.8, 1.2, 1.2, 1.2, 0.8], np.full(count, np.nan)]),
-        time=trials.time + later,
-        emg_time=trials.emg_time + later,
-        moments=trials.moments + noise,
-    )
-    walk = dataclasses.replace(subject.recordings[0], name="walk")
-    recordings = (walk, *(entry for entry in subject.recordings if entry.task != "gait"))
-    rates = (subject.emg_rates[0], *subject.emg_rates[-len(recordings) + 1 :])
-    return dataclasses.replace(subject, trials=trials, recordings=recordings, emg_rates=rates)
+    return load_with_seven_cycles(write_mixed_subject(tmp_path_factory.mktemp("subjects") / "mixed"))
 
 
 @pytest.fixture(scope="module")
@@ -175,25 +151,21 @@ def test_errors_by_angle_are_alike_where_angles_of_one_trial_are(gait):
 
 
 def test_errors_of_each_recording_are_reported(damped):
-    (error,) = damped[0].errors
+    error, *of_squat = damped[0].errors
     assert (error.recording, error.task, error.coordinate) == ("knee", "passive", "knee_angle_l")
+    assert [(one.recording, one.task) for one in of_squat] == [("squat", "movement")] * 2
     assert error.windows == 4 and 0.0 < error.rms <= error.worst_rms
     assert 1.0 - 1e-6 <= error.time[0] < error.time[1] <= 4.7 + 1e-6 and error.angle[0] < error.angle[1]
 
 
-def test_movements_by_inverse_dynamics_are_not_used(damped, mixed):
-    assert damped[0].not_used == ("squat",)
-    assert not {mixed.trials.tasks[place] for place in chosen_windows(mixed.trials)} & {"gait", "movement"}
-
-
 def test_windows_are_spread_over_the_recordings(mixed):
     """A long recording does not displace a short one."""
-    own = chosen_windows(mixed.trials)
+    own = chosen_windows(mixed.trials, {"knee"})
     places = np.concatenate([np.resize(own[1:3], 60), own[1:2]])
     trials = dataclasses.replace(
         mixed.trials.select(places), recordings=(*("long",) * 60, "short"), names=tuple(map(str, range(61)))
     )
-    chosen = chosen_windows(trials)
+    chosen = chosen_windows(trials, {"long", "short"})
     assert len(chosen) == MOST_WINDOWS and chosen[-1] == 60
     assert np.ptp(np.diff(chosen[:-1])) <= 1
 
@@ -210,6 +182,10 @@ def test_a_whole_diagnosis_uses_them(mixed, calibration, tmp_path):
     found.save(tmp_path / "gap")
     content = json.loads((tmp_path / "gap" / "gap.json").read_text())
     assert set(content["other_tasks"]["added_nats"]) == set(added)
-    (where,) = [entry for entry in content["where"] if "angle_deg" in entry]
-    assert where["coordinate"] == "knee_angle_l" and where["recording"] == "knee"
+    where = [entry for entry in content["where"] if "angle_deg" in entry]
+    assert {(entry["recording"], entry["coordinate"]) for entry in where} == {
+        ("knee", "knee_angle_l"),
+        ("squat", "knee_angle_l"),
+        ("squat", "hip_flexion_l"),
+    }
     assert "Other tasks" in (tmp_path / "gap" / "report.html").read_text()

@@ -26,12 +26,17 @@ def force(time):
 def with_forces(folder):
     """Write and load the synthetic subject with ground reaction forces."""
     write_subject(folder)
-    time = np.arange(8001) / 2000.0
+    add_forces(folder)
+    return load_subject(folder)
+
+
+def add_forces(folder, seconds=4.0):
+    """Write ground reaction forces, and name them in the settings of every trial that has EMG."""
+    time = np.arange(round(2000 * seconds) + 1) / 2000.0
     still = np.ones((time.size, 3))
     values = np.concatenate([force(time).T, POINT * still, TORQUE * still], axis=1)
     write_storage(folder / "forces.mot", Storage("forces", COLUMNS, time, values))
     (folder / "loads.xml").write_text(LOADS, encoding="utf-8")
     settings = folder / "subject.toml"
-    files = '\nground_forces = "forces.mot"\nexternal_loads = "loads.xml"\nangles ='
-    settings.write_text(settings.read_text().replace("\nangles =", files))
-    return load_subject(folder)
+    files = '\nground_forces = "forces.mot"\nexternal_loads = "loads.xml"\nemg ='
+    settings.write_text(settings.read_text().replace("\nemg =", files))

@@ -23,8 +23,8 @@ from wrapjax.contact_forces.contact_result import (
     knee_compartments,
 )
 from wrapjax.contact_forces.static_optimization import share_moments
-from wrapjax.diagnosis.recorded_inputs.read_gait import read_recorded_gait
-from wrapjax.diagnosis.recorded_inputs.recorded_gait import RecordedGait
+from wrapjax.diagnosis.recorded_inputs.read_movement import read_recorded_movement
+from wrapjax.diagnosis.recorded_inputs.recorded_movement import RecordedMovement
 from wrapjax.errors import InputError, Problem
 from wrapjax.evaluation.stored_run import Run, RunCurves, read_curves
 from wrapjax.geometry.engine import GEODESIC, ExactPaths, Wrapping
@@ -167,7 +167,7 @@ def contact(
     models = [_model_file(entry) for entry in runs]
     leg = runs[0].subject
     joints = _joints(models[0], leg.trials.moment_coordinates)
-    gait, reason = read_recorded_gait(leg)
+    gait, reason = read_recorded_movement(leg)
     undivided_reason = _undivided_reason(
         joints, whole_force=gait is not None, requested=condyle_distance is not None
     )
@@ -364,7 +364,7 @@ def _active_forces(others: UndrivenMuscles) -> Float[np.ndarray, "muscle trial f
 
 
 def _joint_reactions(
-    gait: RecordedGait,
+    gait: RecordedMovement,
     model_file: Path,
     joints: Sequence[str],
     muscles: Sequence[str],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -287,37 +288,85 @@ def _selected_change(
     return change(effect_sizes)[keep]
 
 
-def with_changes_of_first(context: Context, first: Context) -> Context:
-    """Give cycles the changes that only the context of the first of them knows; the others have none.
+@dataclass(frozen=True)
+class ChangesOfCycles:
+    """Changes by errors in the inputs of inverse dynamics, over some of the cycles of a context.
 
-    These are changes of the paths and of the measured moments by errors in the inputs of inverse dynamics.
+    Parameters
+    ----------
+    cycles
+        Numbers of the cycles.
+    measured, paths
+        See `Context.measured_changes` and `Context.path_changes`.
     """
-    after = len(context.trials) - len(first.trials)
+
+    cycles: Int[np.ndarray, " chosen"]
+    measured: Mapping[str, Mapping[str, MeasuredChange]]
+    paths: Mapping[str, Mapping[str, PathState]]
+
+    @classmethod
+    def of_first(cls, context: Context) -> ChangesOfCycles:
+        """Return those of a context whose cycles are the first ones of another."""
+        return cls(np.arange(len(context.trials)), context.measured_changes, context.path_changes)
+
+
+def with_changes(context: Context, parts: Sequence[ChangesOfCycles]) -> Context:
+    """Give cycles the changes that are known over some of them; the others have none."""
+    count = len(context.trials)
+    measured = _by_variant([(part.cycles, part.measured) for part in parts])
+    paths = _by_variant([(part.cycles, part.paths) for part in parts])
     return replace(
         context,
-        path_changes={
-            id: {label: _padded(derivatives, after) for label, derivatives in variants.items()}
-            for id, variants in first.path_changes.items()
-        },
         measured_changes={
-            id: {label: Partial(_unchanged_after, change, after) for label, change in variants.items()}
-            for id, variants in first.measured_changes.items()
+            id: {label: _joined_measured(known, count) for label, known in variants.items()}
+            for id, variants in measured.items()
+        },
+        path_changes={
+            id: {label: _joined_paths(known, count) for label, known in variants.items()}
+            for id, variants in paths.items()
         },
     )
 
 
-def _padded(derivatives: PathState, after: int) -> PathState:
-    """Append cycles whose paths do not change; leaves lead with ``muscle parameter trial``."""
-    return jax.tree.map(
-        lambda leaf: jnp.concatenate(
-            [jnp.asarray(leaf), jnp.zeros((*leaf.shape[:2], after, *leaf.shape[3:]))], axis=2
-        ),
-        derivatives,
-    )
+_Cycles = Int[np.ndarray, " _"]
 
 
-def _unchanged_after(
-    change: MeasuredChange, after: int, effect_sizes: Float[Array, " parameter"]
+def _by_variant(
+    parts: Sequence[tuple[_Cycles, Mapping[str, Mapping[str, Any]]]],
+) -> dict[str, dict[str, list[tuple[_Cycles, Any]]]]:
+    """Collect the changes of each effect and variant, with the cycles over which they are known."""
+    found: dict[str, dict[str, list[tuple[_Cycles, Any]]]] = {}
+    for cycles, changes in parts:
+        for id, variants in changes.items():
+            for label, change in variants.items():
+                found.setdefault(id, {}).setdefault(label, []).append((cycles, change))
+    return found
+
+
+def _joined_measured(known: Sequence[tuple[_Cycles, MeasuredChange]], count: int) -> MeasuredChange:
+    # Row 0 of what `_select_joined` selects from is zero.
+    rows, first = np.zeros(count, dtype=int), 1
+    for cycles, _ in known:
+        rows[cycles] = first + np.arange(len(cycles))
+        first += len(cycles)
+    return Partial(_select_joined, tuple(change for _, change in known), jnp.asarray(rows))
+
+
+def _select_joined(
+    changes: tuple[MeasuredChange, ...], rows: Int[Array, " trial"], effect_sizes: Float[Array, " parameter"]
 ) -> Float[Array, "trial coordinate frame"]:
-    changed = change(effect_sizes)
-    return jnp.concatenate([changed, jnp.zeros((after, *changed.shape[1:]))])
+    known = [change(effect_sizes) for change in changes]
+    return jnp.concatenate([jnp.zeros_like(known[0][:1]), *known])[rows]
+
+
+def _joined_paths(known: Sequence[tuple[_Cycles, PathState]], count: int) -> PathState:
+    """Join derivatives of paths; leaves lead with ``muscle parameter trial``."""
+
+    def join(*leaves: Array | np.ndarray) -> Array:
+        joined = np.zeros((*leaves[0].shape[:2], count, *leaves[0].shape[3:]))
+        for leaf, (cycles, _) in zip(leaves, known, strict=True):
+            joined[:, :, cycles] = leaf
+        return jnp.asarray(joined)
+
+    joined: PathState = jax.tree.map(join, *(paths for _, paths in known))
+    return joined

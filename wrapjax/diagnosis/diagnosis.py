@@ -196,8 +196,8 @@ def diagnose(
     Parameters
     ----------
     subject
-        Subject from `load_subject`; the other leg is not used. The model is calibrated to gait. Passive,
-        isometric and isokinetic trials add evidence for effects (`wrapjax.diagnosis.other_tasks`).
+        Subject from `load_subject`; the other leg is not used. The model is calibrated to gait. Trials
+        of other tasks add evidence for effects (`wrapjax.diagnosis.other_tasks`).
     method, fit
         See `calibrate`; paths are held as the calibration leaves them.
     without

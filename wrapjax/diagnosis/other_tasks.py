@@ -7,13 +7,15 @@ all rows, less the same over the rows of gait, is what the other tasks add; it i
 sizes of errors. What walking leaves open shows at other angles and efforts in everybody: a usual amount of
 each effect, and errors of the model that follow the joint angle, are part of every null of these tasks.
 
-Inverse dynamics are no part of these tasks: what errors of force plates, markers or body masses change in
-gait changes nothing in them. Movements whose moments come from inverse dynamics are therefore not used.
+Moments of passive, isometric and isokinetic trials are those of a device: what errors of force plates,
+markers or body masses change in gait changes nothing in them. Moments of other movements (squats, stairs,
+running) come from inverse dynamics, as those of gait do, and change with the same errors: what these change
+is computed from the movement's own motion and forces.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -23,7 +25,7 @@ import scipy.linalg
 from jaxtyping import Float, Int
 
 from wrapjax.calibration.calibration import Calibration
-from wrapjax.diagnosis.context import Context, with_changes_of_first
+from wrapjax.diagnosis.context import ChangesOfCycles, Context, with_changes
 from wrapjax.diagnosis.effects.catalogue import available_effects, catalogue
 from wrapjax.diagnosis.error_sources import Matrix
 from wrapjax.diagnosis.input import DiagnosisInput, phase_frames, speed_numbers
@@ -34,16 +36,15 @@ from wrapjax.diagnosis.null_covariance import (
     FORCE_ERRORS,
     REPEATABLE_ERRORS,
 )
+from wrapjax.diagnosis.recorded_inputs.read_movement import read_recorded_movement
 from wrapjax.diagnosis.score import COMPARED, Scores
 from wrapjax.diagnosis.score_test import Projection, Score, distinguishability, score_projected
-from wrapjax.diagnosis.subject_context import build_context
+from wrapjax.diagnosis.subject_context import build_context, changes_by_inverse_dynamics
 from wrapjax.diagnosis.task_covariance import ERRORS_BY_ANGLE, ErrorSizes, LinearizedTasks, TaskCovariance
 from wrapjax.model.forward import Recording, joint_moments
 from wrapjax.subject.subject import Subject
-from wrapjax.subject.trials import Trials
+from wrapjax.subject.trials import GAIT, MOVEMENT, Trials
 
-#: Tasks whose moments a device measured, or that could be: no errors of inverse dynamics are in them.
-DEVICE_TASKS = ("passive", "isometric", "isokinetic")
 #: Largest number of windows of 1 s that are used, spread evenly over the recordings and over each of them.
 MOST_WINDOWS = 24
 # Nulls less plausible than the most plausible one by this many nats do not change the result and are omitted.
@@ -65,7 +66,7 @@ class OtherTasks:
     time
         Time of each frame, s.
     not_used
-        Names of recordings of other tasks that are not used.
+        Recordings of other tasks that are not used, and why.
     """
 
     recording: Recording
@@ -74,7 +75,7 @@ class OtherTasks:
     tasks: tuple[str, ...]
     recordings: tuple[str, ...]
     time: Float[np.ndarray, "cycle frame"]
-    not_used: tuple[str, ...]
+    not_used: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,7 @@ class TaskEvidence:
     detectability: Mapping[str, float]
     errors: tuple[TaskError, ...]
     error_by_angle: float
-    not_used: tuple[str, ...]
+    not_used: Mapping[str, str]
 
 
 def other_tasks(calibration: Calibration, data: DiagnosisInput, subject: Subject) -> OtherTasks | None:
@@ -140,38 +141,93 @@ def other_tasks(calibration: Calibration, data: DiagnosisInput, subject: Subject
     subject
         The same leg with all its tasks.
     """
-    trials = subject.trials
-    windows = chosen_windows(trials)
+    trials, one_leg = subject.trials, replace(subject, other_leg=None)
+    # Only errors in the inputs of other movements are relative to the gait's.
+    gait = read_recorded_movement(calibration.subject)[0] if MOVEMENT in trials.tasks else None
+    not_used = _not_used(subject, forces_needed=gait is not None)
+    windows = chosen_windows(trials, set(trials.recordings) - set(not_used))
+    moving = windows[np.array([trials.tasks[place] == MOVEMENT for place in windows], dtype=bool)]
+    movement = None
+    if gait is not None and len(moving):
+        leg = _with_trials(one_leg, moving)
+        movement, reason = read_recorded_movement(leg, gait)
+        if movement is None:
+            not_used |= dict.fromkeys(leg.trials.recordings, reason)
+            windows = np.setdiff1d(windows, moving)
+    used = {trials.recordings[place] for place in windows}
+    for entry in subject.recordings:
+        if entry.task != GAIT and entry.name not in used | set(not_used):
+            not_used[entry.name] = "none of its windows of 1 s has enough measured moments"
     if not len(windows):
         return None
-    gait = np.flatnonzero(trials.is_gait & (np.array(trials.uses) == "calibration"))
-    used = {trials.recordings[place] for place in windows}
-    others = dict.fromkeys(np.array(trials.recordings)[~trials.is_gait].tolist())
-    chosen = trials.select(np.concatenate([gait, windows]))
-    leg = replace(subject, trials=chosen, other_leg=None)
+    cycles = np.flatnonzero(trials.is_gait & (np.array(trials.uses) == "calibration"))
+    leg = _with_trials(one_leg, np.concatenate([cycles, windows]))
+    chosen = leg.trials
     recording, context = build_context(
         replace(calibration, subject=leg), (None, data.calibration_context.no_measured_changes)
     )
-    context = with_changes_of_first(replace(context, tasks=chosen.tasks), data.calibration_context)
+    context = replace(context, tasks=chosen.tasks)
+    known = [ChangesOfCycles.of_first(data.calibration_context)]
+    if movement is not None:
+        own = replace(calibration, subject=_with_trials(one_leg, moving))
+        places = np.flatnonzero(np.array(chosen.tasks) == MOVEMENT)
+        known.append(changes_by_inverse_dynamics(own, movement, context, places))
     return OtherTasks(
         recording,
-        context,
+        with_changes(context, known),
         chosen.moments,
         chosen.tasks,
         chosen.recordings,
         chosen.time,
-        tuple(name for name in others if name not in used),
+        not_used,
     )
 
 
-def chosen_windows(trials: Trials) -> Int[np.ndarray, " window"]:
+def _with_trials(subject: Subject, places: Int[np.ndarray, " chosen"]) -> Subject:
+    """Select cycles and windows, and the recordings that they are of."""
+    trials = subject.trials.select(places)
+    kept = [place for place, entry in enumerate(subject.recordings) if entry.name in trials.recordings]
+    return replace(
+        subject,
+        trials=trials,
+        recordings=tuple(subject.recordings[place] for place in kept),
+        emg_rates=tuple(subject.emg_rates[place] for place in kept),
+    )
+
+
+def _not_used(subject: Subject, *, forces_needed: bool) -> dict[str, str]:
+    """List the recordings of other tasks that are not used, with the reason."""
+    reasons = {}
+    for entry in subject.recordings:
+        if entry.task == GAIT:
+            continue
+        if entry.use != "calibration":
+            reasons[entry.name] = "it is for validation"
+        elif (
+            forces_needed
+            and entry.task == MOVEMENT
+            and (entry.ground_forces is None or entry.external_loads is None)
+        ):
+            reasons[entry.name] = "its ground reaction forces are not given, which those of the gait are"
+    return reasons
+
+
+def chosen_windows(trials: Trials, recordings: Collection[str]) -> Int[np.ndarray, " window"]:
     """Choose the windows of other tasks that are used, at most `MOST_WINDOWS`.
 
-    Those for calibration in which a device measured a moment, the same number of each recording, as far as it
-    has them, at equal distances.
+    Those for calibration in which a moment was measured, the same number of each recording, as far as it has
+    them, at equal distances.
+
+    Parameters
+    ----------
+    trials
+        Cycles and windows of one leg.
+    recordings
+        Names of the recordings that can be used.
     """
     counts = (
-        np.isin(trials.tasks, DEVICE_TASKS)
+        ~trials.is_gait
+        & np.isin(trials.recordings, list(recordings))
         & (np.array(trials.uses) == "calibration")
         & (trials.counted.sum(axis=1) >= trials.time.shape[1] // 4)
     )

@@ -13,15 +13,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import Partial
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from wrapjax.calibration.calibration import Calibration
 from wrapjax.calibration.objective import Objective
-from wrapjax.diagnosis.context import AtBound, Context, MeasuredChange, PathChanges
+from wrapjax.diagnosis.context import AtBound, ChangesOfCycles, Context, MeasuredChange, PathChanges
 from wrapjax.diagnosis.effects.catalogue import DEFINITIONS
 from wrapjax.diagnosis.effects.effect import EffectSizes
-from wrapjax.diagnosis.recorded_inputs.read_gait import read_recorded_gait
-from wrapjax.diagnosis.recorded_inputs.recorded_gait import RecordedGait
+from wrapjax.diagnosis.recorded_inputs.read_movement import read_recorded_movement
+from wrapjax.diagnosis.recorded_inputs.recorded_movement import RecordedMovement
 from wrapjax.diagnosis.recorded_inputs.recorded_paths import RecordedPaths, engine_motion
 from wrapjax.errors import InputError
 from wrapjax.geometry.engine import ExactPaths
@@ -41,7 +41,7 @@ from wrapjax.path_sources.undriven_muscles import build_undriven_muscles
 from wrapjax.subject.subject import Subject
 
 
-def compute_measured_changes(gait: RecordedGait) -> dict[str, dict[str, MeasuredChange]]:
+def compute_measured_changes(movement: RecordedMovement) -> dict[str, dict[str, MeasuredChange]]:
     """Compute what each effect adds to the measured moments.
 
     An effect size is an error in the laboratory's inputs of inverse dynamics, and the change is what this
@@ -49,8 +49,8 @@ def compute_measured_changes(gait: RecordedGait) -> dict[str, dict[str, Measured
 
     Parameters
     ----------
-    gait
-        Recorded gait.
+    movement
+        Recorded movement.
 
     Returns
     -------
@@ -64,8 +64,8 @@ def compute_measured_changes(gait: RecordedGait) -> dict[str, dict[str, Measured
         if definition.moment_derivatives is not None
         and (
             changes := {
-                label: _linear_change(gait, derivatives)
-                for label, derivatives in definition.moment_derivatives(gait).items()
+                label: _linear_change(movement, derivatives)
+                for label, derivatives in definition.moment_derivatives(movement).items()
                 if derivatives.any()
             }
         )
@@ -94,9 +94,9 @@ def compute_path_changes(
 
 
 def _linear_change(
-    gait: RecordedGait, derivatives: Float[np.ndarray, "parameter coordinate pose"]
+    movement: RecordedMovement, derivatives: Float[np.ndarray, "parameter coordinate pose"]
 ) -> MeasuredChange:
-    by_trial = derivatives.reshape(*derivatives.shape[:2], *gait.time.shape)
+    by_trial = derivatives.reshape(*derivatives.shape[:2], *movement.time.shape)
     return Partial(_sum_changes, jnp.asarray(np.moveaxis(by_trial, 1, 2)))
 
 
@@ -114,7 +114,7 @@ _INDEPENDENT = "inverse dynamics about these coordinates do not depend on it"
 
 
 def build_context(
-    calibration: Calibration, recorded_gait: tuple[RecordedGait | None, str] | None = None
+    calibration: Calibration, recorded: tuple[RecordedMovement | None, str] | None = None
 ) -> tuple[Recording, Context]:
     """Build the context of a calibrated subject, over all its cycles, those for validation included.
 
@@ -125,9 +125,9 @@ def build_context(
     ----------
     calibration
         Calibration of one leg.
-    recorded_gait
-        Recorded gait from which inverse dynamics are computed, or None and the reason why there is none; read
-        from the subject's files if not given.
+    recorded
+        Recorded movement from which inverse dynamics are computed, or None and the reason why there is none;
+        read from the subject's files if not given.
 
     Returns
     -------
@@ -145,12 +145,12 @@ def build_context(
     engine = _build_engine(subject)
     by_angle = paths_by_angle(fit, subject)
     undriven_muscles, no_undriven_muscles = build_undriven_muscles(subject, result.curves)
-    gait, no_measured_changes = recorded_gait or read_recorded_gait(subject)
-    measured_changes = {} if gait is None else compute_measured_changes(gait)
+    movement, no_measured_changes = recorded or read_recorded_movement(subject)
+    measured_changes = {} if movement is None else compute_measured_changes(movement)
     path_changes = (
         {}
-        if gait is None
-        else compute_path_changes(RecordedPaths(subject, gait, engine, paths, by_angle), measured_changes)
+        if movement is None
+        else compute_path_changes(RecordedPaths(subject, movement, engine, paths, by_angle), measured_changes)
     )
     context = Context(
         muscles=subject.muscles.names,
@@ -182,6 +182,29 @@ def build_context(
         joint_spread=subject.joint_spread,
     )
     return inputs, context
+
+
+def changes_by_inverse_dynamics(
+    calibration: Calibration,
+    movement: RecordedMovement,
+    context: Context,
+    cycles: Int[np.ndarray, " chosen"],
+) -> ChangesOfCycles:
+    """Compute what errors in the inputs of inverse dynamics change in some cycles of a context.
+
+    Parameters
+    ----------
+    calibration
+        Calibration whose subject has these cycles alone.
+    movement
+        Their recorded movement.
+    context, cycles
+        Context with the paths of these cycles, and their numbers in it.
+    """
+    measured, own = compute_measured_changes(movement), context.select(cycles.tolist())
+    subject = calibration.subject
+    recorded = RecordedPaths(subject, movement, _build_engine(subject), own.paths, own.paths_by_angle)
+    return ChangesOfCycles(cycles, measured, compute_path_changes(recorded, measured))
 
 
 def paths_by_angle(fit: Fit | ExactGeometry, subject: Subject) -> PathState | None:

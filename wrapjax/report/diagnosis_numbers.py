@@ -286,7 +286,7 @@ def _other_tasks(result: DiagnosisResult) -> dict[str, Any] | None:
             }
             for one in found.errors
         ],
-        "not_used": found.not_used,
+        "not_used": dict(found.not_used),
     }
 
 

@@ -32,9 +32,9 @@ def other_tasks_section(result: DiagnosisResult) -> str:
     left_out = (
         [
             markup.paragraph(
-                f"Not used: {', '.join(found.not_used)}. Only passive, isometric and isokinetic trials for "
-                "calibration are, since what an error of forces or markers changes in other movements is not "
-                "computed."
+                "Not used: "
+                + "; ".join(f"{name}, as {reason}" for name, reason in found.not_used.items())
+                + "."
             )
         ]
         if found.not_used

@@ -10,12 +10,12 @@ from jaxtyping import Float
 
 from wrapjax.errors import Problem
 from wrapjax.subject.trial_settings import TrialSettings
-from wrapjax.subject.trials import GAIT, Trials
+from wrapjax.subject.trials import GAIT, MOVEMENT, Trials
 
 #: Limits of the peak moment per body mass by task, N m/kg. Walking peaks near 2 and running near 4, the
 #: strongest knee extensors hold 5, and relaxed tissue resists with less than 1. Larger values mean another
 #: unit (N cm, N mm) or failed inverse dynamics.
-MAX_MOMENT_PER_MASS = {GAIT: 10.0, "passive": 2.0, "isometric": 6.0, "isokinetic": 6.0, "movement": 10.0}
+MAX_MOMENT_PER_MASS = {GAIT: 10.0, "passive": 2.0, "isometric": 6.0, "isokinetic": 6.0, MOVEMENT: 10.0}
 #: Smaller peaks of gait and movements mean moments that were divided by body mass.
 MIN_MOMENT_PER_MASS = 0.05
 #: A passive moment that rises with the angle, where both change by more than this (rad, N m) and correlate
@@ -47,7 +47,7 @@ def check_moments(
             hint = "are the moments in N mm?" if trial.task == GAIT else "are the moments in N cm or N mm?"
             problems.append(Problem(str(path), message, f"column {name}_moment", hint))
     known = peaks[np.isfinite(peaks)]
-    moving = trial.task in (GAIT, "movement")
+    moving = trial.task in (GAIT, MOVEMENT)
     if moving and known.size and 0.0 < known.max() < MIN_MOMENT_PER_MASS * mass_kg:
         message = f"expected N m, found no moment above {known.max():.3g}"
         problems.append(Problem(str(path), message, hint="are the moments divided by body mass?"))

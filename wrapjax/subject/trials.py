@@ -13,8 +13,8 @@ FRAMES = 101
 TIME_TOLERANCE = 1e-5
 #: What a trial records: a gait cycle; a joint moved while muscles are at rest; a joint held, or moved at a
 #: given velocity, by a dynamometer; any other movement, such as squat, stairs, running or jump.
-GAIT, PASSIVE = "gait", "passive"
-TASKS = (GAIT, PASSIVE, "isometric", "isokinetic", "movement")
+GAIT, PASSIVE, MOVEMENT = "gait", "passive", "movement"
+TASKS = (GAIT, PASSIVE, "isometric", "isokinetic", MOVEMENT)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from wrapjax.diagnosis.effects.effect import (
     add_to_paths,
 )
 from wrapjax.diagnosis.effects.experiments import Experiment
-from wrapjax.diagnosis.recorded_inputs.recorded_gait import MomentDerivatives, RecordedGait
+from wrapjax.diagnosis.recorded_inputs.recorded_movement import MomentDerivatives, RecordedMovement
 from wrapjax.diagnosis.recorded_inputs.recorded_paths import RecordedPaths
 from wrapjax.geometry.paths import PathState
 from wrapjax.model.alteration import Alteration
@@ -223,7 +223,7 @@ class EffectDefinition:
     reported: tuple[tuple[str, str], ...] = ()
     joint_places: tuple[JointPlace, ...] = ()
     to_reported: Callable[[Context], Callable[[EffectSizes], Float[Array, " quantity"]]] | None = None
-    moment_derivatives: Callable[[RecordedGait], Mapping[str, MomentDerivatives]] | None = None
+    moment_derivatives: Callable[[RecordedMovement], Mapping[str, MomentDerivatives]] | None = None
     path_derivatives: Callable[[RecordedPaths], Mapping[str, PathState]] | None = None
 
     @property

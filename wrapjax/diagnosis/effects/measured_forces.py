@@ -8,23 +8,23 @@ from jaxtyping import Float
 from wrapjax.diagnosis.effects.definition import EffectDefinition, Requirement
 from wrapjax.diagnosis.effects.effect import EffectParameter
 from wrapjax.diagnosis.effects.experiments import ROD_ON_PLATE, SYNC_PULSE, WITHOUT_ORTHOSIS
-from wrapjax.diagnosis.recorded_inputs.recorded_gait import CONTACT, MomentDerivatives, RecordedGait
+from wrapjax.diagnosis.recorded_inputs.recorded_movement import CONTACT, MomentDerivatives, RecordedMovement
 
 # ---- Center of pressure
 
 
-def _moments_by_cop_offset(gait: RecordedGait) -> dict[str, MomentDerivatives]:
+def _moments_by_cop_offset(movement: RecordedMovement) -> dict[str, MomentDerivatives]:
     """Compute the moments of forces that act too far forward, and too far outward."""
-    directions = (gait.forward, gait.outward * gait.rightward)
-    return {"": np.stack([_moments_by_displaced_forces(gait, direction) for direction in directions])}
+    directions = (movement.forward, movement.outward * movement.rightward)
+    return {"": np.stack([_moments_by_displaced_forces(movement, direction) for direction in directions])}
 
 
 def _moments_by_displaced_forces(
-    gait: RecordedGait, direction: Float[np.ndarray, "3 pose"]
+    movement: RecordedMovement, direction: Float[np.ndarray, "3 pose"]
 ) -> Float[np.ndarray, "coordinate pose"]:
-    change = np.zeros_like(gait.wrenches)
-    change[:, :3] = np.cross(direction[None], gait.wrenches[:, 3:], axis=1)
-    return gait.derivative_by_wrenches(change)
+    change = np.zeros_like(movement.wrenches)
+    change[:, :3] = np.cross(direction[None], movement.wrenches[:, 3:], axis=1)
+    return movement.derivative_by_wrenches(change)
 
 
 COP_OFFSET = EffectDefinition(
@@ -62,9 +62,9 @@ COP_OFFSET = EffectDefinition(
 # ---- Timing
 
 
-def _moments_by_latency(gait: RecordedGait) -> dict[str, MomentDerivatives]:
+def _moments_by_latency(movement: RecordedMovement) -> dict[str, MomentDerivatives]:
     """Compute the moments of forces that were recorded later than motion."""
-    return {"": gait.derivative_by_wrenches(gait.wrenches_by_latency)[None]}
+    return {"": movement.derivative_by_wrenches(movement.wrenches_by_latency)[None]}
 
 
 FORCE_LATENCY = EffectDefinition(
@@ -94,22 +94,21 @@ FORCE_LATENCY = EffectDefinition(
 _CROSSED_SOURCE = "0 to 20 % of a foot's force"
 
 
-def _moments_by_crossed_plates(gait: RecordedGait) -> dict[str, MomentDerivatives]:
+def _moments_by_crossed_plates(movement: RecordedMovement) -> dict[str, MomentDerivatives]:
     """Compute the moments of shares of the feet's forces that plates assign to the wrong foot.
 
     While both feet are in contact: of the other foot's force, where it acts or at this foot's center of
     pressure; and of this foot's own force, which the other plate records.
     """
-    other, this = gait.other_foot_wrench(), gait.wrenches.sum(axis=0)
-    vertical = other[4]
-    both = gait.in_contact & (vertical > CONTACT * vertical.max())
-    point = gait.center_of_pressure
+    other, this = movement.other_foot_wrench(), movement.wrenches.sum(axis=0)
+    both = movement.in_contact & (other[4] > CONTACT * movement.reference.other_foot_wrench()[4].max())
+    point = movement.center_of_pressure
     leaked = np.concatenate([np.cross(point, other[3:], axis=0), other[3:]])
     derivatives = []
     for crossed in (other, leaked, this):
-        change = np.zeros_like(gait.wrenches)
+        change = np.zeros_like(movement.wrenches)
         change[0] = np.where(both, crossed, 0.0)
-        derivatives.append(gait.derivative_by_wrenches(change))
+        derivatives.append(movement.derivative_by_wrenches(change))
     return {"": np.stack(derivatives)}
 
 

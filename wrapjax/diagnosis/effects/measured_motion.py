@@ -15,7 +15,7 @@ from wrapjax.diagnosis.effects.definition import EffectDefinition, RepeatedParam
 from wrapjax.diagnosis.effects.effect import EffectParameter, EffectSizes, Variant, add_to_paths, delay_emg
 from wrapjax.diagnosis.effects.experiments import MULTI_SEGMENT_FOOT, SQUAT_WITH_CLUSTERS, THIRD_WALKING_SPEED
 from wrapjax.diagnosis.effects.periodic import periodic_bell
-from wrapjax.diagnosis.recorded_inputs.recorded_gait import MomentDerivatives, RecordedGait
+from wrapjax.diagnosis.recorded_inputs.recorded_movement import MomentDerivatives, RecordedMovement
 from wrapjax.diagnosis.recorded_inputs.recorded_paths import RecordedPaths
 from wrapjax.geometry.paths import PathState
 from wrapjax.model.alteration import Alteration
@@ -122,18 +122,20 @@ def _misread_angles(
     )
 
 
-def _moments_by_soft_tissue(gait: RecordedGait) -> dict[str, MomentDerivatives]:
+def _moments_by_soft_tissue(movement: RecordedMovement) -> dict[str, MomentDerivatives]:
     """Compute the moments of angles that the bones did not have."""
-    count, (trials, frames) = len(gait.mechanics.coordinates), gait.time.shape
-    rows_in_mechanics, rows = gait.independent_rows
+    count, (trials, frames) = len(movement.mechanics.coordinates), movement.time.shape
+    rows_in_mechanics, rows = movement.independent_rows
     angles = np.zeros((count, trials, frames))
-    angles[rows_in_mechanics] = gait.motion.values[rows].reshape(-1, trials, frames)
+    angles[rows_in_mechanics] = movement.motion.values[rows].reshape(-1, trials, frames)
     each_alone = np.eye(count)[:, :, None, None]
-    shares = [gait.derivatives_by_angles(each_alone * angles)]
-    if neighbors := neighboring_coordinates(gait.mechanics.coordinates):
-        shares.append(gait.derivatives_by_angles(each_alone * angles[list(neighbors)]))
+    shares = [movement.derivatives_by_angles(each_alone * angles)]
+    if neighbors := neighboring_coordinates(movement.mechanics.coordinates):
+        shares.append(movement.derivatives_by_angles(each_alone * angles[list(neighbors)]))
     slides = {
-        label: gait.derivatives_by_angles(np.broadcast_to(each_alone * slide, (count, count, trials, frames)))
+        label: movement.derivatives_by_angles(
+            np.broadcast_to(movement.is_gait * each_alone * slide, (count, count, trials, frames))
+        )
         for label, (slide, _) in skin_slides(np.linspace(0.0, 1.0, frames)).items()
     }
     return {label: np.concatenate([by_slide, *shares]) for label, by_slide in slides.items()}
@@ -205,45 +207,54 @@ SOFT_TISSUE_ARTIFACT = EffectDefinition(
 _ONSET = 0.05
 
 
-def foot_loads(gait: RecordedGait) -> dict[str, Float[np.ndarray, "trial frame"]]:
-    """Compute the load that bends the foot, 1 at most, by variant: vertical force, or moment on the forefoot.
+def foot_loads(movement: RecordedMovement) -> dict[str, Float[np.ndarray, "trial frame"]]:
+    """Compute the load that bends the foot, by variant: vertical force, or moment on the forefoot.
 
-    Empty without an ankle.
+    Relative to the largest one of the gait. Empty without an ankle.
     """
-    rows = gait.rows_of("ankle_angle")
+    rows = movement.rows_of("ankle_angle")
     if not rows:
         return {}
-    moment, force = gait.wrenches.sum(axis=0).reshape(2, 3, -1)
-    at_ankle = moment - np.cross(gait.mechanics.joint_center[rows[0]], force, axis=0)
-    upward = (at_ankle * gait.rightward).sum(axis=0)
     # A load with a sudden onset would require accelerations that no foot has.
-    onset = _ONSET * np.abs(upward).max()
-    loads = {"whole foot": force[1], "forefoot": 0.5 * (upward + np.hypot(upward, onset))}
+    onset = _ONSET * np.abs(_moment_on_forefoot(movement.reference, rows[0])).max()
+
+    def loads(of: RecordedMovement) -> dict[str, Float[np.ndarray, " pose"]]:
+        upward = _moment_on_forefoot(of, rows[0])
+        return {"whole foot": of.force[1], "forefoot": 0.5 * (upward + np.hypot(upward, onset))}
+
+    largest = {label: load.max() for label, load in loads(movement.reference).items()}
     return {
-        label: (load / load.max()).reshape(gait.time.shape)
-        for label, load in loads.items()
-        if load.max() > 0.0
+        label: (load / largest[label]).reshape(movement.time.shape)
+        for label, load in loads(movement).items()
+        if largest[label] > 0.0
     }
 
 
-def _moments_by_foot(gait: RecordedGait) -> dict[str, MomentDerivatives]:
+def _moment_on_forefoot(movement: RecordedMovement, ankle: int) -> Float[np.ndarray, " pose"]:
+    """Compute the moment of the ground about the ankle that bends the forefoot upwards, N m."""
+    moment, force = movement.wrenches.sum(axis=0).reshape(2, 3, -1)
+    at_ankle = moment - np.cross(movement.mechanics.joint_center[ankle], force, axis=0)
+    return np.asarray((at_ankle * movement.rightward).sum(axis=0))
+
+
+def _moments_by_foot(movement: RecordedMovement) -> dict[str, MomentDerivatives]:
     """Compute the moments of an ankle recorded too far in dorsiflexion, in proportion to the foot's load."""
     derivatives = {}
-    for label, load in foot_loads(gait).items():
-        errors = np.zeros((1, len(gait.mechanics.coordinates), *gait.time.shape))
-        errors[0, gait.rows_of("ankle_angle")] = load
-        derivatives[label] = gait.derivatives_by_angles(errors)
+    for label, load in foot_loads(movement).items():
+        errors = np.zeros((1, len(movement.mechanics.coordinates), *movement.time.shape))
+        errors[0, movement.rows_of("ankle_angle")] = load
+        derivatives[label] = movement.derivatives_by_angles(errors)
     return derivatives
 
 
 def _paths_by_foot(recorded: RecordedPaths) -> Mapping[str, PathState]:
     """Compute the paths of an ankle that is less dorsiflexed than recorded, per rad at the largest load."""
-    paths, by_angle, gait = recorded.paths, recorded.by_angle, recorded.gait
+    paths, by_angle, movement = recorded.paths, recorded.by_angle, recorded.movement
     if by_angle is None or paths is None:
         return {}
     names = recorded.subject.trials.moment_coordinates
     ankle = [row for row, name in enumerate(names) if name.startswith("ankle_angle")][:1]
-    step = (gait.time[:, 1] - gait.time[:, 0])[:, None]
+    step = (movement.time[:, 1] - movement.time[:, 0])[:, None]
 
     def changed(load: Float[np.ndarray, "trial frame"]) -> PathState:
         # The angle of the bones is the recorded one less the error.
@@ -256,7 +267,7 @@ def _paths_by_foot(recorded: RecordedPaths) -> Mapping[str, PathState]:
             moment_arm=bend[:, None] * by_ankle.moment_arm,
         )
 
-    return {label: changed(load) for label, load in foot_loads(gait).items()}
+    return {label: changed(load) for label, load in foot_loads(movement).items()}
 
 
 # The variants are the loads that bend the foot.

@@ -9,7 +9,7 @@ import numpy as np
 from wrapjax.diagnosis.effects.definition import EffectDefinition, JointPlace
 from wrapjax.diagnosis.effects.effect import EffectParameter
 from wrapjax.diagnosis.effects.experiments import STAR_ARC_MOVEMENTS
-from wrapjax.diagnosis.recorded_inputs.recorded_gait import MomentDerivatives, RecordedGait
+from wrapjax.diagnosis.recorded_inputs.recorded_movement import MomentDerivatives, RecordedMovement
 from wrapjax.diagnosis.recorded_inputs.recorded_paths import RecordedPaths, engine_motion
 from wrapjax.geometry.joint_changes import with_moved_joint, with_rotated_joint_axes
 from wrapjax.geometry.model_description import ModelDescription
@@ -60,43 +60,43 @@ def _paths_by_joints(
 # ---- Hip center
 
 
-def _moments_by_joint_center(gait: RecordedGait, stem: str) -> MomentDerivatives:
+def _moments_by_joint_center(movement: RecordedMovement, stem: str) -> MomentDerivatives:
     """Compute a joint's moment about a center too far forward, up or outward in the body that carries it.
 
     Markers hold the foot, so that only this joint's moment changes.
 
     Parameters
     ----------
-    gait
-        Recorded gait.
+    movement
+        Recorded movement.
     stem
         Start of the names of the joint's coordinates.
     """
-    force, held = gait.transmitted_wrenches()[:, 3:], gait.no_change(3)
-    for row in gait.rows_of(stem):
-        axes = gait.mechanics.rotation[_carrier(gait, row)]
-        for number, sign in enumerate((1.0, 1.0, gait.outward)):
+    force, held = movement.transmitted_wrenches()[:, 3:], movement.no_change(3)
+    for row in movement.rows_of(stem):
+        axes = movement.mechanics.rotation[_carrier(movement, row)]
+        for number, sign in enumerate((1.0, 1.0, movement.outward)):
             lever = np.cross(sign * axes[:, number], force[row], axis=0)
-            held[number, row] = -(gait.mechanics.screw[row, :3] * lever).sum(axis=0)
+            held[number, row] = -(movement.mechanics.screw[row, :3] * lever).sum(axis=0)
     return held
 
 
-def _moments_by_hip_center(gait: RecordedGait) -> dict[str, MomentDerivatives]:
+def _moments_by_hip_center(movement: RecordedMovement) -> dict[str, MomentDerivatives]:
     """Compute the hip's moment about a center too far forward, up or outward in the pelvis.
 
     Where markers hold the foot, only the hip's moment changes. Where angles are kept, the model's leg is
     displaced with its hip, and the ground reaction force acts elsewhere on the whole leg.
     """
-    outward = np.diag([1.0, 1.0, gait.outward])
-    rows, displaced = gait.rows_of("hip_"), gait.no_change(3)
+    outward = np.diag([1.0, 1.0, movement.outward])
+    rows, displaced = movement.rows_of("hip_"), movement.no_change(3)
     for number in range(3) if rows else ():
-        name = gait.mechanics.coordinates[rows[0]]
-        displaced[number] = gait.derivative_by_joint(name, outward[number], np.zeros(3))
-    return {FOOT_HELD: _moments_by_joint_center(gait, "hip_"), FOOT_DISPLACED: displaced}
+        name = movement.mechanics.coordinates[rows[0]]
+        displaced[number] = movement.derivative_by_joint(name, outward[number], np.zeros(3))
+    return {FOOT_HELD: _moments_by_joint_center(movement, "hip_"), FOOT_DISPLACED: displaced}
 
 
 def _paths_by_hip_center(recorded: RecordedPaths) -> Mapping[str, PathState]:
-    signs = (1.0, 1.0, recorded.gait.outward)
+    signs = (1.0, 1.0, recorded.movement.outward)
     return _paths_by_joints(
         recorded, [(with_moved_joint, "hip_", axis, sign) for axis, sign in enumerate(signs)]
     )
@@ -162,8 +162,8 @@ _LANDMARKS = "landmarks between examiners: Della Croce et al. 2005, doi:10.1016/
 _DISTAL_CENTERS = (("knee_angle", 0.005), ("ankle_angle", 0.003))
 
 
-def _moments_by_distal_centers(gait: RecordedGait) -> dict[str, MomentDerivatives]:
-    return {"": np.concatenate([_moments_by_joint_center(gait, stem) for stem, _ in _DISTAL_CENTERS])}
+def _moments_by_distal_centers(movement: RecordedMovement) -> dict[str, MomentDerivatives]:
+    return {"": np.concatenate([_moments_by_joint_center(movement, stem) for stem, _ in _DISTAL_CENTERS])}
 
 
 # No effect of the catalogue moves these joints. The paths of their muscles are uncertain in every null
@@ -206,30 +206,30 @@ _AXIS_ROTATIONS = (
 )
 
 
-def _moments_by_joint_axes(gait: RecordedGait) -> dict[str, MomentDerivatives]:
+def _moments_by_joint_axes(movement: RecordedMovement) -> dict[str, MomentDerivatives]:
     """Compute the joint's moment about an axis that is rotated by either of the two angles that place it.
 
     One rotation is that of toes that turn out. The other is about the direction across: forward for knee and
     ankle, whose axes run from side to side, and outward for the subtalar joint, whose axis runs forward.
     Where markers do not hold the foot, a bent joint also displaces it.
     """
-    mechanics, wrench = gait.mechanics, gait.transmitted_wrenches()
-    held, displaced = gait.no_change(len(_AXIS_ROTATIONS)), gait.no_change(len(_AXIS_ROTATIONS))
+    mechanics, wrench = movement.mechanics, movement.transmitted_wrenches()
+    held, displaced = movement.no_change(len(_AXIS_ROTATIONS)), movement.no_change(len(_AXIS_ROTATIONS))
     for number, place in enumerate(_AXIS_ROTATIONS):
-        sign = place.sign(gait.outward)
-        for row in gait.rows_of(place.stem):
+        sign = place.sign(movement.outward)
+        for row in movement.rows_of(place.stem):
             moment = wrench[row, :3] - np.cross(mechanics.joint_center[row], wrench[row, 3:], axis=0)
-            about = sign * mechanics.rotation[_carrier(gait, row), :, place.axis]
+            about = sign * mechanics.rotation[_carrier(movement, row), :, place.axis]
             rotated = np.cross(about, mechanics.screw[row, :3], axis=0)
             held[number, row] = (rotated * moment).sum(axis=0)
             name = mechanics.coordinates[row]
-            displaced[number] += gait.derivative_by_joint(name, np.zeros(3), sign * np.eye(3)[place.axis])
+            displaced[number] += movement.derivative_by_joint(name, np.zeros(3), sign * np.eye(3)[place.axis])
     return {FOOT_HELD: held, FOOT_DISPLACED: displaced}
 
 
-def _carrier(gait: RecordedGait, coordinate: int) -> int:
+def _carrier(movement: RecordedMovement, coordinate: int) -> int:
     """Find the body that carries a coordinate's joint; the joint's child body where that is ground."""
-    mechanics = gait.mechanics
+    mechanics = movement.mechanics
     moved = np.flatnonzero(mechanics.moves[coordinate])
     names = [mechanics.bodies[body] for body in moved]
     child = next(body for body in moved if mechanics.parents[body] not in names)
@@ -238,7 +238,7 @@ def _carrier(gait: RecordedGait, coordinate: int) -> int:
 
 
 def _paths_by_joint_axes(recorded: RecordedPaths) -> Mapping[str, PathState]:
-    outward = recorded.gait.outward
+    outward = recorded.movement.outward
     return _paths_by_joints(
         recorded,
         [(with_rotated_joint_axes, place.stem, place.axis, place.sign(outward)) for place in _AXIS_ROTATIONS],
@@ -281,16 +281,16 @@ JOINT_AXIS_ROTATION = EffectDefinition(
 # ---- Knee laxity
 
 
-def _moments_by_knee_laxity(gait: RecordedGait) -> dict[str, MomentDerivatives]:
+def _moments_by_knee_laxity(movement: RecordedMovement) -> dict[str, MomentDerivatives]:
     """Compute the moments of hip and knee adduction of a vertical force that acts further outward."""
-    vertical = np.zeros_like(gait.wrenches)
-    vertical[:, 4] = gait.wrenches[:, 4]
-    change = np.zeros_like(gait.wrenches)
-    outward = gait.outward * gait.rightward
+    vertical = np.zeros_like(movement.wrenches)
+    vertical[:, 4] = movement.wrenches[:, 4]
+    change = np.zeros_like(movement.wrenches)
+    outward = movement.outward * movement.rightward
     change[:, :3] = np.cross(outward[None], vertical[:, 3:], axis=1)
-    derivatives = gait.no_change(1)
-    rows = gait.rows_of("hip_adduction") + gait.rows_of("knee_adduction")
-    derivatives[0, rows] = gait.derivative_by_wrenches(change)[rows]
+    derivatives = movement.no_change(1)
+    rows = movement.rows_of("hip_adduction") + movement.rows_of("knee_adduction")
+    derivatives[0, rows] = movement.derivative_by_wrenches(change)[rows]
     return {"": derivatives}
 
 

@@ -8,39 +8,41 @@ from jaxtyping import Float
 from wrapjax.diagnosis.effects.definition import EffectDefinition
 from wrapjax.diagnosis.effects.effect import EffectParameter
 from wrapjax.diagnosis.effects.experiments import KNOWN_MASS_AT_SHANK
-from wrapjax.diagnosis.recorded_inputs.recorded_gait import MomentDerivatives, RecordedGait
+from wrapjax.diagnosis.recorded_inputs.recorded_movement import MomentDerivatives, RecordedMovement
 
 # ---- Segment inertia
 
 _SEGMENTS = ("thigh", "shank", "foot")
 
 
-def _moments_by_inertia(gait: RecordedGait) -> dict[str, MomentDerivatives]:
+def _moments_by_inertia(movement: RecordedMovement) -> dict[str, MomentDerivatives]:
     """Compute the moments of a segment's mass, and of its inertia about the center of mass.
 
     A positive effect size is a person whose segment has more than the model's: the measured moments lack it.
     """
     derivatives = [
-        gait.mechanics.moments(np.einsum("kb,bwp->kwp", gait.mechanics.moves[:, segment], wrench[segment]))
-        for segment in _bodies_of_segments(gait)
-        for wrench in (gait.mechanics.mass_wrench, gait.mechanics.inertia_wrench)
+        movement.mechanics.moments(
+            np.einsum("kb,bwp->kwp", movement.mechanics.moves[:, segment], wrench[segment])
+        )
+        for segment in _bodies_of_segments(movement)
+        for wrench in (movement.mechanics.mass_wrench, movement.mechanics.inertia_wrench)
     ]
     return {"": -np.stack(derivatives)}
 
 
-def _bodies_of_segments(gait: RecordedGait) -> tuple[list[int], list[int], list[int]]:
+def _bodies_of_segments(movement: RecordedMovement) -> tuple[list[int], list[int], list[int]]:
     """Find the bodies of `_SEGMENTS` by the joints that move them; a patella is in none."""
-    mechanics = gait.mechanics
+    mechanics = movement.mechanics
 
     def first_moved(stem: str) -> list[int]:
         """Find the bodies at the near end of what a coordinate moves."""
-        rows = gait.rows_of(stem)
+        rows = movement.rows_of(stem)
         moved: list[int] = np.flatnonzero(mechanics.moves[rows[0]]).tolist() if rows else []
         names = [mechanics.bodies[body] for body in moved]
         return [body for body in moved if mechanics.parents[body] not in names]
 
     thigh, shank = first_moved("hip_"), first_moved("knee_")
-    ankle = gait.rows_of("ankle_")
+    ankle = movement.rows_of("ankle_")
     foot = np.flatnonzero(mechanics.moves[ankle[0]]).tolist() if ankle else []
     return thigh, shank, foot
 
@@ -83,29 +85,36 @@ _WOBBLING_SOURCE = (
 _USUAL_IMPULSE = 0.25
 
 
-def _moments_by_wobbling_mass(gait: RecordedGait) -> dict[str, MomentDerivatives]:
+def _moments_by_wobbling_mass(movement: RecordedMovement) -> dict[str, MomentDerivatives]:
     """Compute moments of soft tissue about hip flexion and about the knee.
 
-    At impact, or at every change of the vertical force; 1 N m s in total while the foot is being loaded.
+    At impact, or at every change of the vertical force; 1 N m s in total while the foot is being loaded. The
+    times of impacts are known in gait alone.
     """
-    in_contact = gait.in_contact.reshape(gait.time.shape)
+    in_contact = movement.in_contact.reshape(movement.time.shape)
     strikes = in_contact & ~np.roll(in_contact, 1, axis=1)
     # Without a strike, the cycle starts with one.
     start = np.where(strikes.any(axis=1), strikes.argmax(axis=1), 0)
-    duration = gait.time[:, -1] - gait.time[:, 0]
-    since = np.mod(gait.time - gait.time[np.arange(start.size), start][:, None], duration[:, None])
+    duration = movement.time[:, -1] - movement.time[:, 0]
+    since = np.mod(movement.time - movement.time[np.arange(start.size), start][:, None], duration[:, None])
     length = _IMPACT * duration[:, None]
     pulse = np.where(since < length, 2.0 / length * np.sin(np.pi * since / length) ** 2, 0.0)
-    vertical = gait.force[1].reshape(gait.time.shape)
-    rate = np.gradient(vertical, axis=-1) / (gait.time[:, 1] - gait.time[:, 0])[:, None]
-    shapes = {"impact": pulse, "every change of load": rate / vertical.max(axis=1, keepdims=True)}
-    return {label: _about_hip_and_knee(gait, shape) for label, shape in shapes.items()}
+    vertical = movement.force[1].reshape(movement.time.shape)
+    rate = np.gradient(vertical, axis=-1) / (movement.time[:, 1] - movement.time[:, 0])[:, None]
+    largest = vertical.max(axis=1, keepdims=True)
+    if not movement.is_gait:
+        reference = movement.reference
+        largest = reference.force[1].reshape(reference.time.shape).max(axis=1).mean()
+    shapes = {"impact": movement.is_gait * pulse, "every change of load": rate / largest}
+    return {label: _about_hip_and_knee(movement, shape) for label, shape in shapes.items()}
 
 
-def _about_hip_and_knee(gait: RecordedGait, moment: Float[np.ndarray, "trial frame"]) -> MomentDerivatives:
-    derivatives = gait.no_change(2)
+def _about_hip_and_knee(
+    movement: RecordedMovement, moment: Float[np.ndarray, "trial frame"]
+) -> MomentDerivatives:
+    derivatives = movement.no_change(2)
     for number, stem in enumerate(("hip_flexion", "knee_angle")):
-        derivatives[number, gait.rows_of(stem)] = moment.ravel()
+        derivatives[number, movement.rows_of(stem)] = moment.ravel()
     return derivatives
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float, Int
 
-from wrapjax.diagnosis.context import Context, PathChanges, with_changes_of_first
+from wrapjax.diagnosis.context import ChangesOfCycles, Context, PathChanges, with_changes
 from wrapjax.diagnosis.protocol.paths import (
     CandidatePostures,
     by_angles_through_length,
@@ -302,7 +302,7 @@ def joined(parts: Sequence[tuple[Recording, Context]]) -> tuple[Recording, Conte
         attachments=_joined_changes([one.attachments for one in contexts]),
         all_cycles=None,
     )
-    context = with_changes_of_first(context, first)
+    context = with_changes(context, [ChangesOfCycles.of_first(first)])
     return Recording(emg, fixed_path(paths), recordings[0].padding), context
 
 

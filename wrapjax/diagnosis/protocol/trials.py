@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from wrapjax.subject.trials import MOVEMENT
+
 #: Effort of isometric ramps: share of a maximum voluntary contraction.
 RAMP_EFFORT = 0.6
 #: Angles of isometric ramps, as shares of the range of the joint.
@@ -254,7 +256,7 @@ def _squat(joints: Mapping[str, str], limits: Mapping[str, tuple[float, float]])
     movement = Movement(angles, dict.fromkeys(angles, 0.0), SQUAT_SECONDS, tuple(efforts))
     return CandidateTrial(
         id="squat",
-        task="movement",
+        task=MOVEMENT,
         what="slow squats, with motion capture and force plates",
         posture={},
         effort="body weight",

@@ -1,1 +1,1 @@
-"""Recorded gait and paths, and their changes by errors in the inputs of inverse dynamics."""
+"""Recorded movements and paths, and their changes by errors in the inputs of inverse dynamics."""

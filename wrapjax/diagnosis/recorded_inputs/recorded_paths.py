@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from numpy import ndarray
 
-from wrapjax.diagnosis.recorded_inputs.recorded_gait import RecordedGait
+from wrapjax.diagnosis.recorded_inputs.recorded_movement import RecordedMovement
 from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.paths import PathState
 from wrapjax.subject.subject import Subject
@@ -17,12 +17,12 @@ Motion = Float[ndarray, "trial _ frame"]
 
 @dataclass(frozen=True)
 class RecordedPaths:
-    """Muscle paths of a subject along the recorded gait, and what their derivatives are computed from.
+    """Muscle paths of a subject along the recorded movement, and what their derivatives are computed from.
 
     Parameters
     ----------
-    subject, gait
-        Subject, and its recorded gait.
+    subject, movement
+        Subject, and its recorded movement.
     engine
         Exact engine of the subject's muscles; None where a path has elements that it does not support.
     paths
@@ -33,7 +33,7 @@ class RecordedPaths:
     """
 
     subject: Subject
-    gait: RecordedGait
+    movement: RecordedMovement
     engine: ExactPaths | None = None
     paths: PathState | None = None
     by_angle: PathState | None = None

@@ -1,4 +1,4 @@
-"""Recorded gait of a subject, from its motion, ground reaction forces and external loads."""
+"""Recorded movement of a subject, from its motion, ground reaction forces and external loads."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
-from wrapjax.diagnosis.recorded_inputs.recorded_gait import RecordedGait
+from wrapjax.diagnosis.recorded_inputs.recorded_movement import RecordedMovement
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.osim.mechanics import analyse_mechanics
 from wrapjax.osim.model import describe_model
@@ -24,19 +24,23 @@ from wrapjax.subject.trials import Trials
 _LATENCY = 0.005
 
 
-def read_recorded_gait(subject: Subject) -> tuple[RecordedGait | None, str]:
-    """Read the recorded gait of all cycles.
+def read_recorded_movement(
+    subject: Subject, gait: RecordedMovement | None = None
+) -> tuple[RecordedMovement | None, str]:
+    """Read the recorded movement of all cycles, or of all windows of another movement.
 
     Parameters
     ----------
     subject
         Subject whose trials name ground reaction forces and external loads, and whose angles hold every
         coordinate from ground to the foot.
+    gait
+        Recorded gait of the same leg, if the trials are another movement.
 
     Returns
     -------
-    gait
-        Recorded gait; None where the recording lacks something.
+    movement
+        Recorded movement; None where the recording lacks something.
     reason
         What is missing; empty where nothing is.
 
@@ -56,7 +60,7 @@ def read_recorded_gait(subject: Subject) -> tuple[RecordedGait | None, str]:
     if not loaded:
         return None, "no ground reaction forces act on this leg in these trials"
     reason = _missing_angles(subject, model, loaded)
-    return (None, reason) if reason else (_assemble(subject, model, loads, loaded), "")
+    return (None, reason) if reason else (_assemble(subject, model, loads, loaded, gait), "")
 
 
 @dataclass(frozen=True)
@@ -122,8 +126,12 @@ def _missing_angles(subject: Subject, model: _Structure, loaded: tuple[str, ...]
 
 
 def _assemble(
-    subject: Subject, model: _Structure, loads: Mapping[str, GroundLoads], loaded: tuple[str, ...]
-) -> RecordedGait:
+    subject: Subject,
+    model: _Structure,
+    loads: Mapping[str, GroundLoads],
+    loaded: tuple[str, ...],
+    gait: RecordedMovement | None,
+) -> RecordedMovement:
     trials = subject.trials
 
     def wrenches(latency: float) -> Float[np.ndarray, "load 6 pose"]:
@@ -133,7 +141,7 @@ def _assemble(
     others = tuple({body for entry in loads.values() for body in entry.bodies} - set(loaded))
     analyse = partial(analyse_mechanics, subject.model_file, trials.moment_coordinates)
     motion = _read_motion(subject, model)
-    return RecordedGait(
+    return RecordedMovement(
         side=subject.side,
         time=trials.time,
         motion=motion,
@@ -144,6 +152,7 @@ def _assemble(
         wrenches_by_latency=(wrenches(_LATENCY) - wrenches(-_LATENCY)) / (2.0 * _LATENCY),
         other_wrench=_total_wrench(trials, loads, others, 0.0) if others else None,
         analyse=analyse,
+        gait=gait,
     )
 
 

@@ -1,4 +1,4 @@
-"""Recorded gait as inverse dynamics uses it, and derivatives of joint moments by errors of its inputs."""
+"""Recorded movement as inverse dynamics uses it, and derivatives of moments by errors of its inputs."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
-class RecordedGait:
-    """Motion and external forces of one leg, in ground's frame.
+class RecordedMovement:
+    """Motion and external forces of one leg in gait or in another movement, in ground's frame.
 
-    All frames of all cycles are one axis ``pose``.
+    All frames of all cycles, or windows of a movement, are one axis ``pose``.
 
     Parameters
     ----------
@@ -47,6 +47,9 @@ class RecordedGait:
         Wrench on the other foot; None where it was not recorded.
     analyse
         Function that computes the mechanics of another motion, with a joint of the model displaced if given.
+    gait
+        Recorded gait of the same leg, if this is another movement; None if this is the gait. What is relative
+        to a largest force is relative to that of the gait, so that effect sizes mean the same in both.
     """
 
     side: str
@@ -58,6 +61,17 @@ class RecordedGait:
     wrenches_by_latency: Float[np.ndarray, "load 6 pose"]
     other_wrench: Float[np.ndarray, "6 pose"] | None
     analyse: Callable[[Motion, JointShift | None], Mechanics]
+    gait: RecordedMovement | None = None
+
+    @property
+    def is_gait(self) -> bool:
+        """Whether the cycles are those of gait, which have a phase and repeat themselves."""
+        return self.gait is None
+
+    @property
+    def reference(self) -> RecordedMovement:
+        """The gait."""
+        return self if self.gait is None else self.gait
 
     @property
     def outward(self) -> float:
@@ -80,7 +94,7 @@ class RecordedGait:
     def in_contact(self) -> Bool[np.ndarray, " pose"]:
         """Whether the foot is in contact with the ground."""
         vertical = self.force[1]
-        return vertical > CONTACT * vertical.max()
+        return vertical > CONTACT * self.reference.force[1].max()
 
     @property
     def pelvis(self) -> int:
@@ -93,7 +107,7 @@ class RecordedGait:
 
     @property
     def forward(self) -> Float[np.ndarray, "3 pose"]:
-        """Horizontal direction in which the pelvis faces on average over the cycle."""
+        """Horizontal direction in which the pelvis faces on average over each cycle or window."""
         facing = self.mechanics.rotation[self.pelvis, :, 0].reshape(3, *self.time.shape)
         mean = facing.mean(axis=2) * (1.0 - UP)[:, None]
         mean = mean / np.linalg.norm(mean, axis=0)
@@ -216,10 +230,12 @@ class RecordedGait:
         """Give the recorded wrench on the other foot, or estimate it from this foot's.
 
         The estimate is this foot's wrench half a cycle away, mirrored in the pelvis' midplane, so that it
-        holds on treadmills and over ground. It assumes symmetric gait.
+        holds on treadmills and over ground. It assumes symmetric gait; in another movement there is none.
         """
         if self.other_wrench is not None:
             return self.other_wrench
+        if not self.is_gait:
+            return np.zeros_like(self.wrenches[0])
         half = (self.time.shape[1] - 1) // 2
         later = (np.arange(self.time.shape[1]) + half) % (2 * half)
         origin = self.mechanics.origin[self.pelvis]
