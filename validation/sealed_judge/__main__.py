@@ -17,8 +17,12 @@ def main(arguments: list[str] | None = None) -> int:
     make.add_argument("--cases", type=int, default=60)
     make.add_argument("--seed", type=int, required=True)
     make.add_argument("--workers", type=int, default=1)
-    tasks = commands.add_parser(
-        "tasks", help="copy a bank, and let its people also do passive rotations and isometric ramps"
+    tasks = commands.add_parser("tasks", help="copy a bank, and let its people also do other tasks")
+    tasks.add_argument(
+        "--kind",
+        choices=("dynamometer", "squats"),
+        default="dynamometer",
+        help="passive rotations and isometric ramps by a dynamometer, or squats",
     )
     tasks.add_argument("--bank", type=Path, required=True)
     tasks.add_argument("--out", type=Path, required=True)
@@ -34,7 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
         bank.make(a.out, a.cases, a.seed, a.workers)
         return 0
     if a.command == "tasks":
-        bank.with_other_tasks(a.bank, a.out, a.workers)
+        bank.with_other_tasks(a.bank, a.out, a.workers, a.kind)
         return 0
     wrong = bank.check(a.out)
     print("\n".join(wrong) if wrong else "all cases agree with the manifest")

@@ -22,6 +22,7 @@ from .effects import CATALOGUE, EFFECTS, OUTSIDE
 from .other_tasks import add_tasks
 from .person import Person, draw_person
 from .session import Session, Take
+from .squats import add_squats
 
 CASES_PER_PERSON = 5
 SHARES = {"none": 0.3, "single": 0.5, "outside": 0.1, "pair": 0.1}
@@ -173,8 +174,12 @@ def draw_case(entry: dict, seed: int) -> Drawn:
     return Drawn(person, session, session_seed, effects, values, takes, d_star)
 
 
-def add_other_tasks(out: Path, entry: dict, seed: int, target: Path) -> str:
-    """Write one case with trials of a dynamometer beside walking, unless it is there already."""
+#: What adds trials of other tasks to a case, by name: of a dynamometer, or squats.
+ADDED = {"dynamometer": add_tasks, "squats": add_squats}
+
+
+def add_other_tasks(out: Path, entry: dict, seed: int, target: Path, kind: str) -> str:
+    """Write one case with trials of other tasks (`ADDED`) beside walking, unless it is there already."""
     name = entry["id"]
     if not (target / "cases" / name).exists():
         drawn = draw_case(entry, seed)
@@ -182,7 +187,7 @@ def add_other_tasks(out: Path, entry: dict, seed: int, target: Path) -> str:
         truth = json.loads((out / "truth" / f"{name}.json").read_text(encoding="utf-8"))
         scale = np.array([truth["emg_scale"][channel] for channel in CHANNEL_NAMES])
         case = (out / "cases" / name, target / "cases" / name)
-        add_tasks(*case, drawn.session, drawn.effects, drawn.seed, scale)
+        ADDED[kind](*case, drawn.session, drawn.effects, drawn.seed, scale)
         (target / "truth").mkdir(exist_ok=True)
         shutil.copy(out / "truth" / f"{name}.json", target / "truth" / f"{name}.json")
     return name
@@ -199,12 +204,12 @@ def _run(workers: int, work: Callable[..., str], *arguments: list) -> None:
             print(name, flush=True)
 
 
-def with_other_tasks(out: Path, target: Path, workers: int) -> None:
-    """Write a bank whose people also did passive rotations and isometric ramps; their walking is the same."""
+def with_other_tasks(out: Path, target: Path, workers: int, kind: str) -> None:
+    """Write a bank whose people also did other tasks (`ADDED`); their walking is the same."""
     manifest = json.loads((out / "manifest.json").read_text(encoding="utf-8"))
     seed, entries = manifest["seed"], plan(manifest["cases"], manifest["seed"])
     count = len(entries)
-    _run(workers, add_other_tasks, [out] * count, entries, [seed] * count, [target] * count)
+    _run(workers, add_other_tasks, [out] * count, entries, [seed] * count, [target] * count, [kind] * count)
     digests = {entry["id"]: digest(target, entry["id"]) for entry in entries}
     kept = {"seed": seed, "cases": count, "sha256": digests}
     (target / "manifest.json").write_text(json.dumps(kept, indent=1), encoding="utf-8")

@@ -97,7 +97,7 @@ def _subject(session: Session, name: str, angles: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _write_trial(
+def write_trial(
     folder: Path, m: Measured, moments: np.ndarray, emg: np.ndarray, take: Take, side: str, full: bool
 ) -> None:
     """Write the files of one recording."""
@@ -180,7 +180,7 @@ def write_case(
     top = np.max([e[t.view.rec.kept].max(axis=0) for e, t in zip(emg, takes, strict=True)], axis=0)
     measured = session.measure(takes, effects)
     for i, (take, (m, moments), e) in enumerate(zip(takes, measured, emg, strict=True)):
-        _write_trial(folder / f"trials/speed{i + 1}", m, moments + noise[i], e / top, take, p.side, full)
+        write_trial(folder / f"trials/speed{i + 1}", m, moments + noise[i], e / top, take, p.side, full)
     return {
         "emg_scale": dict(zip(anatomy.CHANNEL_NAMES, (peak * top).tolist(), strict=True)),
         "rate_hz": RATE,
