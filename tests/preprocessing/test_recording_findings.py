@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.subject.synthetic import CHANNELS, COORDINATES, PERIOD, angles, write_subject
-from tests.subject.task_folders import ISOMETRIC, add_trial
+from tests.subject.task_folders import ISOMETRIC, SQUAT, add_trial
 from wrapjax.cli.command_line import main
 from wrapjax.io.storage import Storage, read_storage, write_storage
 from wrapjax.path_sources.moment_capacity import unrecorded_capacity
@@ -153,6 +153,11 @@ def test_a_held_contraction_is_no_baseline(folder):
         return np.stack([0.02 + 0.8 * effort, 0.02 + 0.0 * effort])
 
     add_trial(folder, "ramp", ISOMETRIC.replace("[2.6, 5.3]", "[2.3, 5.9]"), emg=ramp)
+    assert [one for one in recording_findings(load_subject(folder)) if one.kind == "baseline"] == []
+
+
+def test_muscles_that_hold_the_body_in_a_squat_have_no_baseline(folder):
+    add_trial(folder, "squat", SQUAT, emg=lambda time: 0.3 + 0.2 * np.sin(np.stack([time, 2.0 * time])))
     assert [one for one in recording_findings(load_subject(folder)) if one.kind == "baseline"] == []
 
 

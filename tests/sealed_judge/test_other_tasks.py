@@ -21,7 +21,7 @@ from wrapjax.subject.subject import load_subject
 def banks(tmp_path_factory):
     walking, tasks = (tmp_path_factory.mktemp("banks") / name for name in ("walking", "tasks"))
     make(walking, 1, 7, 1)
-    with_other_tasks(walking, tasks, 1)
+    with_other_tasks(walking, tasks, 1, "dynamometer")
     return walking, tasks
 
 

@@ -19,7 +19,7 @@ from wrapjax.subject.emg_envelopes import compute_envelopes, resample_evenly, sa
 from wrapjax.subject.gait_activity import exchanged_channels
 from wrapjax.subject.subject import Subject
 from wrapjax.subject.trial_settings import TrialSettings
-from wrapjax.subject.trials import GAIT, PASSIVE, Trials
+from wrapjax.subject.trials import GAIT, MOVEMENT, PASSIVE, Trials
 
 #: Robust standard deviations, and share of the channel's peak, by which a floor must exceed the median floor.
 FLOOR_DEVIATIONS, FLOOR_SHARE = 5.0, 0.04
@@ -135,11 +135,15 @@ def _where(trials: Trials, rows: Sequence[int]) -> str:
 
 
 def _baselines(trials: Trials) -> Iterator[Finding]:
-    """Find cycles whose quiet level is above that of the channel's other cycles."""
-    emg = _inside(trials)
-    floors, peaks = np.percentile(emg, 2.0, axis=2), emg.max(axis=(0, 2))
+    """Find cycles whose quiet level is above that of the channel's other cycles.
+
+    In movements other than gait, such as squats, muscles that hold the body need never rest.
+    """
+    trials = trials.select(np.array([task != MOVEMENT for task in trials.tasks], dtype=bool))
     if len(trials) < 2:
         return
+    emg = _inside(trials)
+    floors, peaks = np.percentile(emg, 2.0, axis=2), emg.max(axis=(0, 2))
     names = np.array(trials.recordings)
     for name in dict.fromkeys(names[[task not in (GAIT, PASSIVE) for task in trials.tasks]].tolist()):
         # A window of a held contraction has no quiet level of its own; its recording has one.
