@@ -97,6 +97,7 @@ class PathSurrogate(eqx.Module):
     center: Float[Array, " coordinate"]
     half_range: Float[Array, " coordinate"]
 
+    @eqx.filter_jit
     def __call__(
         self,
         angles: Float[Array, "trial coordinate frame"],
@@ -117,8 +118,10 @@ class PathSurrogate(eqx.Module):
         trials, _, frames = angles.shape
         poses = jnp.moveaxis(angles, 1, -1).reshape(trials * frames, -1)
         rates = jnp.moveaxis(velocities, 1, -1).reshape(trials * frames, -1)
-        length, slope = jax.vmap(self._path, in_axes=(0, 0, 0, 0, None))(
-            self.spans, self.spanned, self.exponents, coefficients, poses
+        # One after the other, as in `second_derivatives`: all at once would need a gigabyte.
+        length, slope = jax.lax.map(
+            lambda muscle: self._path(*muscle, poses),
+            (self.spans, self.spanned, self.exponents, coefficients),
         )
         shape = (len(self.muscles), trials, frames)
         return PathState(
