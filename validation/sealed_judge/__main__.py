@@ -27,6 +27,12 @@ def main(arguments: list[str] | None = None) -> int:
     tasks.add_argument("--bank", type=Path, required=True)
     tasks.add_argument("--out", type=Path, required=True)
     tasks.add_argument("--workers", type=int, default=1)
+    conditions = commands.add_parser(
+        "conditions", help="let the people of a bank walk with and without the cause of their case"
+    )
+    conditions.add_argument("--bank", type=Path, required=True)
+    conditions.add_argument("--out", type=Path, required=True)
+    conditions.add_argument("--workers", type=int, default=1)
     check = commands.add_parser("check", help="verify every case against the manifest")
     check.add_argument("--out", type=Path, required=True)
     a = parser.parse_args(arguments)
@@ -39,6 +45,9 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     if a.command == "tasks":
         bank.with_other_tasks(a.bank, a.out, a.workers, a.kind)
+        return 0
+    if a.command == "conditions":
+        bank.with_conditions(a.bank, a.out, a.workers)
         return 0
     wrong = bank.check(a.out)
     print("\n".join(wrong) if wrong else "all cases agree with the manifest")

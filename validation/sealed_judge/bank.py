@@ -193,6 +193,47 @@ def add_other_tasks(out: Path, entry: dict, seed: int, target: Path, kind: str) 
     return name
 
 
+def add_condition(out: Path, entry: dict, seed: int, target: Path) -> str:
+    """Write one case, and the same person walking without its cause in ``<id>/without``, unless it is there.
+
+    Only cases with nothing amiss, or with one cause that a condition can have: a cause in the body's geometry
+    or in the laboratory's model would be in both.
+    """
+    name, place = entry["id"], target / "cases" / entry["id"]
+    truth = out / "truth" / f"{name}.json"
+    if place.exists() or entry["tier"] not in ("none", "single"):
+        return name
+    drawn = draw_case(entry, seed)
+    constant = (type(one).true_leg is not Effect.true_leg or type(one).lab_leg is not Effect.lab_leg
+                for one in drawn.effects)  # fmt: skip
+    if any(constant):
+        return name
+    facts = json.loads(truth.read_text(encoding="utf-8"))
+    scale = np.array([facts["emg_scale"][channel] for channel in CHANNEL_NAMES])
+    other_seed = int(np.random.default_rng([seed, 53, int(name[4:])]).integers(2**31))
+    without = Session(drawn.person, other_seed)
+    work = place.with_name(name + ".part")
+    shutil.rmtree(work, ignore_errors=True)
+    shutil.copytree(out / "cases" / name, work / "with")
+    write_case(work / "without", name, without, without.takes, [], other_seed, (drawn.seed, scale))
+    (target / "truth").mkdir(exist_ok=True)
+    shutil.copy(truth, target / "truth" / truth.name)
+    work.rename(place)
+    return name
+
+
+def with_conditions(out: Path, target: Path, workers: int) -> None:
+    """Write a bank of people who walk with and without the cause of a case."""
+    manifest = json.loads((out / "manifest.json").read_text(encoding="utf-8"))
+    seed, entries = manifest["seed"], plan(manifest["cases"], manifest["seed"])
+    count = len(entries)
+    (target / "cases").mkdir(parents=True, exist_ok=True)
+    _run(workers, add_condition, [out] * count, entries, [seed] * count, [target] * count)
+    names = sorted(path.name for path in (target / "cases").iterdir())
+    kept = {"seed": seed, "cases": count, "sha256": {name: digest(target, name) for name in names}}
+    (target / "manifest.json").write_text(json.dumps(kept, indent=1), encoding="utf-8")
+
+
 def _run(workers: int, work: Callable[..., str], *arguments: list) -> None:
     """Do the work for each set of arguments, in processes of their own where there are several workers."""
     if workers == 1:

@@ -139,7 +139,13 @@ def write_trial(
 
 
 def write_case(
-    folder: Path, name: str, session: Session, takes: list[Take], effects: Sequence[Effect], seed: int
+    folder: Path,
+    name: str,
+    session: Session,
+    takes: list[Take],
+    effects: Sequence[Effect],
+    seed: int,
+    beside: tuple[int, np.ndarray] | None = None,
 ) -> dict:
     """Write a case and return what the recordings contain.
 
@@ -157,6 +163,9 @@ def write_case(
         Effects at work.
     seed : int
         Seed of the noise.
+    beside : tuple of int and ndarray, optional
+        Seed of the noise of another condition of the same person, and the drive of each electrode at an
+        envelope of one there: formats, units of EMG and the errors that repeat are the same in both.
 
     Returns
     -------
@@ -170,14 +179,17 @@ def write_case(
         lab = effect.lab_leg(lab)
     write_model(folder / "model.osim", lab, p.lab_muscles, p.side, name)
     rng = np.random.default_rng([seed, 41])
+    repeating = rng if beside is None else np.random.default_rng([beside[0], 41])
     # Half of the labs write radians under full path names, half degrees under plain names.
-    full = bool(rng.integers(2))
+    full = bool(repeating.integers(2))
     angles = "angles.sto" if full else "angles.mot"
     (folder / "subject.toml").write_text(_subject(session, name, angles), encoding="utf-8")
-    noise = moment_noise(rng, p, [t.view for t in takes], session.peak)
+    noise = moment_noise(rng, p, [t.view for t in takes], session.peak, repeating)
     peak = session_peak(session.takes)
     emg = [envelope(t, peak, effects, rng, p.noise["emg_cv"]) for t in takes]
     top = np.max([e[t.view.rec.kept].max(axis=0) for e, t in zip(emg, takes, strict=True)], axis=0)
+    if beside is not None:
+        top = beside[1] / peak
     measured = session.measure(takes, effects)
     for i, (take, (m, moments), e) in enumerate(zip(takes, measured, emg, strict=True)):
         write_trial(folder / f"trials/speed{i + 1}", m, moments + noise[i], e / top, take, p.side, full)

@@ -67,7 +67,11 @@ def envelope(
 
 
 def moment_noise(
-    rng: np.random.Generator, person: Person, views: Sequence[View], peak: np.ndarray
+    rng: np.random.Generator,
+    person: Person,
+    views: Sequence[View],
+    peak: np.ndarray,
+    repeating: np.random.Generator | None = None,
 ) -> list[np.ndarray]:
     """Return smooth errors of the moments of each recording; part of them repeats in every cycle.
 
@@ -81,6 +85,8 @@ def moment_noise(
         Recordings.
     peak : ndarray
         Largest absolute moment of each coordinate, Nm.
+    repeating : numpy.random.Generator, optional
+        Source of the part that repeats; the same as of the rest when left out.
 
     Returns
     -------
@@ -90,7 +96,7 @@ def moment_noise(
     level, share = person.noise["moment"], person.noise["repeatable"]
     grid = 400
     common = gaussian_filter1d(
-        rng.standard_normal((grid, 6)), grid * LENGTH_COMMON / np.sqrt(2), axis=0, mode="wrap"
+        (repeating or rng).standard_normal((grid, 6)), grid * LENGTH_COMMON / np.sqrt(2), axis=0, mode="wrap"
     )
     common /= np.sqrt(1.0 / (2 * np.sqrt(np.pi) * grid * LENGTH_COMMON / np.sqrt(2)))
     out = []

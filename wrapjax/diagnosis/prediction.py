@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 import equinox as eqx
@@ -17,6 +18,8 @@ from wrapjax.model.forward import Recording, apply_recording_alterations, joint_
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.muscle.curves import AbstractCurves
 
+#: Number of altered inputs that are kept while an effect is evaluated, each some megabytes.
+_KEPT_INPUTS = 50
 AlterationFunctions = tuple[AlterationFunction, ...]
 #: Sizes of several effects: one vector for each effect.
 SizesByEffect = tuple[Float[Array, " _"], ...]
@@ -113,6 +116,7 @@ def _changes(
     change different muscles are therefore evaluated together, and parameters that change none, not at all.
     """
 
+    @lru_cache(maxsize=_KEPT_INPUTS)
     def inputs_at(number: int | None) -> Inputs:
         vector = np.zeros(effects.count)
         if number is not None:

@@ -429,8 +429,10 @@ def _in_frame_of(
     """Transform positions, and velocities relative to the body, to the body's frame."""
     arm = points.position - carrier.origin[:, None]
     carried = carrier.linear[:, :, None] + np.cross(carrier.angular[:, :, None], arm[:, None])
-    position = np.einsum("pji,psj->psi", carrier.rotation, arm)
-    velocity = np.einsum("pji,pcsj->pcsi", carrier.rotation, points.velocity - carried)
+    position = arm @ carrier.rotation
+    relative = points.velocity - carried
+    # One matrix product a pose: an einsum takes several times as long.
+    velocity = (relative.reshape(len(arm), -1, 3) @ carrier.rotation).reshape(relative.shape)
     return position, velocity
 
 
@@ -451,6 +453,8 @@ def _wrapping_range(muscle: Muscle, wrap: PathWrap) -> tuple[int, int]:
 
 def _with_inactive_merged(points: PathPoints) -> PathPoints:
     """Move inactive points to the active point before them or, at the path's beginning, after them."""
+    if points.active.all():
+        return points
     source = _active_source(points)
     position = np.take_along_axis(points.position, source[:, :, None], axis=1)
     velocity = np.take_along_axis(points.velocity, source[:, None, :, None], axis=2)

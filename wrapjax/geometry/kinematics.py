@@ -131,8 +131,8 @@ def body_motion(values: CoordinateValues, bodies: Iterable[str]) -> dict[str, Bo
     motions = {}
     for index, body in enumerate(structure.bodies):
         chosen = (moves[index] & by_coordinate).astype(float)
-        angular = np.einsum("cm,pmk->pck", chosen, poses.angular)
-        linear = np.einsum("cm,pmk->pck", chosen, poses.linear)
+        angular = chosen @ poses.angular
+        linear = chosen @ poses.linear
         origin = poses.origin[:, index]
         motions[body] = BodyMotion(
             poses.rotation[:, index], origin, angular, linear + np.cross(angular, origin[:, None])
