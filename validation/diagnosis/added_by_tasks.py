@@ -2,7 +2,8 @@
 
 ``--bank BANK --answers ANSWERS`` reads answers of `validation.diagnosis.diagnose_bank` to cases with such
 trials, and the bank's truths. For each case a row: outcome; evidence of the first cause by walking, and what
-the other tasks add; the same of the effect that is no cause and has most evidence with all of it.
+the other tasks add; the same of the effect that is no cause and has most evidence with all of it. Below them
+the places of single causes above d* 2 among all effects, by the evidence of walking and by all evidence.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from validation.diagnosis.bank_cases import CLEAR
 from wrapjax.io.json_and_arrays import load_json
 
 
@@ -23,10 +25,13 @@ def main() -> int:
     parser.add_argument("--bank", type=Path, required=True)
     parser.add_argument("--answers", type=Path, required=True)
     options = parser.parse_args()
-    rows = []
+    rows, places = [], []
     for file in sorted(options.answers.glob("*/gap.json")):
         truth = json.loads((options.bank / "truth" / f"{file.parent.name}.json").read_text(encoding="utf-8"))
-        rows.append(row(file.parent.name, truth, load_json(file)))
+        found = load_json(file)
+        rows.append(row(file.parent.name, truth, found))
+        if truth["tier"] == "single" and truth["d_star"] > CLEAR:
+            places.append(places_of_cause(truth, found))
     if not rows:
         print(f"no answers in {options.answers}", file=sys.stderr)
         return 2
@@ -34,7 +39,24 @@ def main() -> int:
     rows[:0] = [header, ("---",) * len(header)]
     for cells in rows:
         print(f"| {' | '.join(cells)} |")
+    for label, own in zip(("walking", "all tasks"), zip(*places, strict=True), strict=False):
+        first, three = (sum(place is not None and place <= last for place in own) for last in (1, 3))
+        print(f"by {label}: right first in {first} of {len(own)}, in the first three in {three}")
     return 0
+
+
+def places_of_cause(truth: dict[str, Any], answer: dict[str, Any]) -> tuple[int | None, int | None]:
+    """Return the place of the first cause among all effects, by walking and by all tasks; None if not testable."""
+    added = (answer["other_tasks"] or {"added_nats": {}})["added_nats"]
+    total = {one["id"]: one["evidence_nats"] for one in answer["effects"] if one["evidence_nats"] is not None}
+    cause = truth["causes"][0]["effect"]
+    if cause not in total:
+        return None, None
+    walking = {id: value - added.get(id, 0.0) for id, value in total.items()}
+    by_walking, by_all = (
+        1 + sum(value > evidence[cause] for value in evidence.values()) for evidence in (walking, total)
+    )
+    return by_walking, by_all
 
 
 def row(name: str, truth: dict[str, Any], answer: dict[str, Any]) -> tuple[str, ...]:
