@@ -46,7 +46,7 @@ def main() -> int:
 
 
 def places_of_cause(truth: dict[str, Any], answer: dict[str, Any]) -> tuple[int | None, int | None]:
-    """Return the place of the first cause among all effects, by walking and by all tasks; None if not testable."""
+    """Return the place of the cause among all effects, by walking and by all tasks; None if not testable."""
     added = (answer["other_tasks"] or {"added_nats": {}})["added_nats"]
     total = {one["id"]: one["evidence_nats"] for one in answer["effects"] if one["evidence_nats"] is not None}
     cause = truth["causes"][0]["effect"]
