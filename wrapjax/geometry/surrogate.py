@@ -118,11 +118,14 @@ class PathSurrogate(eqx.Module):
         trials, _, frames = angles.shape
         poses = jnp.moveaxis(angles, 1, -1).reshape(trials * frames, -1)
         rates = jnp.moveaxis(velocities, 1, -1).reshape(trials * frames, -1)
+
+        def of_one(
+            muscle: tuple[Array, Array, Array, Array],
+        ) -> tuple[Float[Array, " pose"], Float[Array, "pose coordinate"]]:
+            return self._path(*muscle, poses)
+
         # One after the other, as in `second_derivatives`: all at once would need a gigabyte.
-        length, slope = jax.lax.map(
-            lambda muscle: self._path(*muscle, poses),
-            (self.spans, self.spanned, self.exponents, coefficients),
-        )
+        length, slope = jax.lax.map(of_one, (self.spans, self.spanned, self.exponents, coefficients))
         shape = (len(self.muscles), trials, frames)
         return PathState(
             length=length.reshape(shape),
