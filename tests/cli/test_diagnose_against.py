@@ -20,7 +20,7 @@ from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.io.storage import Storage, write_storage
 
 #: Few effects, one start.
-TESTED = {"joint_damping", "emg_offset", "curve_family"}
+TESTED = {"joint_damping", "emg_offset", "curve_family", "muscle_attachment"}
 QUICK = ("--starts", "1", "--without", *sorted(set(CATALOGUE) - TESTED))
 CYCLES = 4
 #: Damping of the knee by the brace, N m s/rad.
@@ -70,6 +70,10 @@ def test_a_brace_is_found_where_it_acts(run, conditions, tmp_path):
     assert content["named"] == [{"id": "joint_damping", "condition": "brace"}]
     assert content["explained_share"] > 0.5
     assert content["where"][0]["coordinate"] == "knee_angle_l"
+    # Muscles are attached to the same places in both conditions.
+    untested = {one["id"]: one["reason"] for one in content["not_testable"]}
+    assert "the same in both conditions" in untested["muscle_attachment"]
+    assert "muscle_attachment" not in {one["id"] for one in content["effects"]}
     assert {"report.html", "settings.toml"} <= set(names(out))
     assert "joint_damping in 'brace'" in done.output
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,7 @@ from wrapjax.diagnosis.condition_contrast import (
     contrast_rows,
 )
 from wrapjax.diagnosis.diagnosis import diagnosis_input
-from wrapjax.diagnosis.effects.catalogue import refuse_unknown
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE, refuse_unknown
 from wrapjax.diagnosis.effects.effect import NotTestable
 from wrapjax.diagnosis.input import DiagnosisInput, phase_frames
 from wrapjax.diagnosis.linearization import linearized_model
@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 #: Fewest calibration cycles of each condition at a common speed.
 FEWEST_CYCLES = 3
+#: Reason why an effect with `shared_by_conditions` explains no difference.
+SHARED = "it is the same in both conditions of one person"
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,8 @@ def diagnose_against(
     The model is calibrated to both conditions together, as everything of the person is the same in both. At
     each common speed the mean residuals of the two conditions are subtracted, so that errors of the model
     that are the same in both cancel, and every effect of the catalogue is tested in one condition alone; see
-    `wrapjax.diagnosis.condition_contrast`.
+    `wrapjax.diagnosis.condition_contrast`. Effects of the body's muscle paths and of calibrated parameters
+    are left out, as they are the same in both.
 
     Parameters
     ----------
@@ -137,6 +140,8 @@ def diagnose_against(
         tuple(data.calibration_effects.values()),
         groups=_groups(speeds, is_first),
     )
+    own = tuple(one for one in linearized.candidates if not CATALOGUE[one.id].shared_by_conditions)
+    linearized = replace(linearized, candidates=own)
     log("comparing the conditions")
     contrast = compute_contrast(linearized, speeds, is_first, data.measured_moment_sd, seed)
     return _difference(gait, conditions, data, contrast, speeds, is_first)
@@ -190,5 +195,9 @@ def _difference(
         measured_difference=np.einsum("sc,ckp->skp", rows, measured),
         contrast=contrast,
         effects=dict(data.calibration_effects),
-        not_testable=tuple(entry for entry in data.entries if isinstance(entry, NotTestable)),
+        not_testable=tuple(
+            entry if isinstance(entry, NotTestable) else NotTestable(entry.id, SHARED)
+            for entry in data.entries
+            if isinstance(entry, NotTestable) or CATALOGUE[entry.id].shared_by_conditions
+        ),
     )

@@ -79,5 +79,6 @@ BOUND_PRESSURE = EffectDefinition(
         ),
     ),
     variants=_bound_pressure,
+    shared_by_conditions=True,
     experiment=ISOMETRIC_RAMPS,
 )

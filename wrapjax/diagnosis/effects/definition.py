@@ -192,6 +192,9 @@ class EffectDefinition:
     in_one_condition
         Whether an effect that changes nothing but the measured moments may also be present in one recording
         or at one walking speed only (`Context.conditions`): each of these is a further variant.
+    shared_by_conditions
+        Whether the effect is the same in all conditions of one person, as it concerns the body's muscle paths
+        or calibrated parameters: it does not explain what differs between two.
     negative_control, nuisance, reported
         See `Effect`.
     joint_places
@@ -218,6 +221,7 @@ class EffectDefinition:
     requirements: tuple[Requirement, ...] = ()
     experiment: Experiment | None = None
     in_one_condition: bool = False
+    shared_by_conditions: bool = False
     negative_control: bool = False
     nuisance: bool = False
     reported: tuple[tuple[str, str], ...] = ()

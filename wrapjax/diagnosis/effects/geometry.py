@@ -70,6 +70,7 @@ WRAP_SURFACE = EffectDefinition(
         ),
     ),
     variants=lambda context: _variants(context.wraps),
+    shared_by_conditions=True,
     experiment=PATHS_BY_ULTRASOUND,
 )
 
@@ -96,5 +97,6 @@ MUSCLE_ATTACHMENT = EffectDefinition(
         ),
     ),
     variants=lambda context: _variants(context.attachments),
+    shared_by_conditions=True,
     experiment=PATHS_BY_ULTRASOUND,
 )
