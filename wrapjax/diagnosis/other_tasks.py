@@ -142,7 +142,7 @@ def other_tasks(calibration: Calibration, data: DiagnosisInput, subject: Subject
         The same leg with all its tasks.
     """
     trials, one_leg = subject.trials, replace(subject, other_leg=None)
-    # Only errors in the inputs of other movements are relative to the gait's.
+    # The gait gives the unit of errors in the inputs of other movements.
     gait = read_recorded_movement(calibration.subject)[0] if MOVEMENT in trials.tasks else None
     not_used = _not_used(subject, forces_needed=gait is not None)
     windows = chosen_windows(trials, set(trials.recordings) - set(not_used))
