@@ -193,7 +193,7 @@ def test_several_processes_give_identical_results(empty_cache, monkeypatch, s1_l
 
 def test_workers_are_started_when_much_work_remains(empty_cache, monkeypatch, odd_model):
     monkeypatch.setattr(muscle_analysis, "CHUNK", 4)
-    monkeypatch.setattr(workers, "_cores", lambda: 2)
+    monkeypatch.setattr(workers, "usable_cores", lambda: 2)
     called = []
 
     def in_workers(engine_arguments, chunks, processes):
