@@ -10,8 +10,8 @@ import pytest
 FOLDER = Path(__file__).resolve().parents[2] / "validation" / "sealed_judge"
 FILES = sorted(FOLDER.glob("*.py"))
 ALLOWED = {
-    "__future__", "argparse", "ast", "collections", "concurrent", "copy", "dataclasses", "hashlib", "typing",
-    "itertools", "json",
+    "__future__", "argparse", "ast", "collections", "concurrent", "contextlib", "copy", "dataclasses",
+    "hashlib", "itertools", "json", "typing",
     "numpy", "os", "pathlib", "scipy", "shutil", "sys", "xml",
 }  # fmt: skip
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 
@@ -42,6 +44,20 @@ def write_table(
     body = np.column_stack([time, values])
     lines = ["\t".join([f"{row[0]:.5f}", *(f"{x:.7g}" for x in row[1:])]) for row in body]
     path.write_text(text + "\n".join(lines) + "\n", encoding="utf-8")
+
+
+@contextmanager
+def added_trials(case: Path, out: Path) -> Iterator[tuple[Path, list[str]]]:
+    """Copy a case; yield the copy and the lines its settings get. It appears whole or not at all."""
+    work = out.with_name(out.name + ".part")
+    lines: list[str] = []
+    shutil.rmtree(work, ignore_errors=True)
+    shutil.copytree(case, work)
+    yield work, lines
+    file = work / "subject.toml"
+    file.write_text(file.read_text(encoding="utf-8") + "\n".join(lines) + "\n", encoding="utf-8")
+    shutil.rmtree(out, ignore_errors=True)
+    work.rename(out)
 
 
 def external_loads(side: str) -> str:

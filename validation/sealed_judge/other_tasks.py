@@ -8,7 +8,6 @@ so that envelopes stay near the unit of walking.
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +16,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from . import anatomy, gait
-from .case_files import write_table
+from .case_files import added_trials, write_table
 from .effect import Effect, View, forward
 from .leg import geometry
 from .muscle import RATE, unit_forces
@@ -164,40 +163,34 @@ def add_tasks(
     scale : ndarray
         Drive of each electrode at an envelope of one, as in walking.
     """
-    work = out.with_name(out.name + ".part")
-    shutil.rmtree(work, ignore_errors=True)
-    shutil.copytree(case, work)
-    side = session.person.side
-    peak = session_peak(session.takes)
-    rng = np.random.default_rng([seed, 43])
-    cv = session.person.noise["emg_cv"]
-    acting = [e for e in effects if e.id not in OF_WALKING]
-    lines = []
-    for plan in PLANS:
-        one = take(session, plan, effects, scale)
-        rec, joint = one.view.rec, anatomy.COORDS.index(plan.joint)
-        noise = gaussian_filter1d(rng.standard_normal(len(rec.time)), DEVICE_TIME * RATE)
-        noise *= DEVICE_NOISE / noise.std()
-        folder = work / "trials" / plan.name
-        folder.mkdir()
-        half = slice(0, None, 2)
-        names = [*anatomy.PELVIS_COORDS, *(f"{c}_{side}" for c in anatomy.COORDS)]
-        angles = np.degrees(np.hstack([rec.pelvis, rec.q]))
-        write_table(folder / "angles.mot", "Coordinates", names, rec.time[half], angles[half], True)
-        write_table(
-            folder / "moments.sto", "Moment of the device", [f"{plan.joint}_{side}_moment"],
-            rec.time[half], (one.moments[:, joint] + noise)[half, None],
-        )  # fmt: skip
-        lines += [
-            "", "[[trial]]", f'name = "{plan.name}"', 'use = "calibration"', f'task = "{plan.task}"',
-            f'angles = "trials/{plan.name}/angles.mot"', f'moments = "trials/{plan.name}/moments.sto"',
-            f"interval = [0.0, {rec.time[half][-1]:.2f}]",
-        ]  # fmt: skip
-        if plan.sign:
-            emg = envelope(one, peak, acting, rng, cv) * peak / scale
-            write_table(folder / "emg.sto", "Electromyography", list(anatomy.CHANNEL_NAMES), rec.time, emg)
-            lines.append(f'emg = "trials/{plan.name}/emg.sto"')
-    file = work / "subject.toml"
-    file.write_text(file.read_text(encoding="utf-8") + "\n".join(lines) + "\n", encoding="utf-8")
-    shutil.rmtree(out, ignore_errors=True)
-    work.rename(out)
+    with added_trials(case, out) as (work, lines):
+        side = session.person.side
+        peak = session_peak(session.takes)
+        rng = np.random.default_rng([seed, 43])
+        cv = session.person.noise["emg_cv"]
+        acting = [e for e in effects if e.id not in OF_WALKING]
+        for plan in PLANS:
+            one = take(session, plan, effects, scale)
+            rec, joint = one.view.rec, anatomy.COORDS.index(plan.joint)
+            noise = gaussian_filter1d(rng.standard_normal(len(rec.time)), DEVICE_TIME * RATE)
+            noise *= DEVICE_NOISE / noise.std()
+            folder = work / "trials" / plan.name
+            folder.mkdir()
+            half = slice(0, None, 2)
+            names = [*anatomy.PELVIS_COORDS, *(f"{c}_{side}" for c in anatomy.COORDS)]
+            angles = np.degrees(np.hstack([rec.pelvis, rec.q]))
+            write_table(folder / "angles.mot", "Coordinates", names, rec.time[half], angles[half], True)
+            write_table(
+                folder / "moments.sto", "Moment of the device", [f"{plan.joint}_{side}_moment"],
+                rec.time[half], (one.moments[:, joint] + noise)[half, None],
+            )  # fmt: skip
+            lines += [
+                "", "[[trial]]", f'name = "{plan.name}"', 'use = "calibration"', f'task = "{plan.task}"',
+                f'angles = "trials/{plan.name}/angles.mot"', f'moments = "trials/{plan.name}/moments.sto"',
+                f"interval = [0.0, {rec.time[half][-1]:.2f}]",
+            ]  # fmt: skip
+            if plan.sign:
+                emg = envelope(one, peak, acting, rng, cv) * peak / scale
+                names = list(anatomy.CHANNEL_NAMES)
+                write_table(folder / "emg.sto", "Electromyography", names, rec.time, emg)
+                lines.append(f'emg = "trials/{plan.name}/emg.sto"')

@@ -7,7 +7,6 @@ muscles cannot make is taken up by the contact.  What a cause does at a phase of
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import nnls
 
 from . import gait
-from .case_files import write_trial
+from .case_files import added_trials, write_trial
 from .drive import FIRST, DriveFit, channel_weights
 from .dynamics import contact_map, inverse_dynamics
 from .effect import Effect, View, forward
@@ -181,30 +180,24 @@ def add_squats(
     scale : ndarray
         Drive of each electrode at an envelope of one, as in walking.
     """
-    work = out.with_name(out.name + ".part")
-    shutil.rmtree(work, ignore_errors=True)
-    shutil.copytree(case, work)
-    p = session.person
-    rng = np.random.default_rng([seed, 47])
-    acting = [e for e in effects if e.id not in ABSENT]
-    _, one = take(session, acting, rng)
-    ((measured, moments),) = session.measure([one], acting)
-    noise = gaussian_filter1d(rng.standard_normal(moments.shape), NOISE_TIME * RATE, axis=0)
-    noise *= p.noise["moment"] * session.peak / noise.std(axis=0)
-    peak = session_peak(session.takes)
-    emg = envelope(one, peak, acting, rng, p.noise["emg_cv"]) * peak / scale
-    full = (case / "trials/speed1/angles.sto").exists()
-    write_trial(work / "trials/squats", measured, moments + noise, emg, one, p.side, full)
-    end = one.view.rec.time[-1]
-    lines = [
-        "", "[[trial]]", 'name = "squats"', 'use = "calibration"', 'task = "movement"',
-        f'angles = "trials/squats/angles.{"sto" if full else "mot"}"',
-        'moments = "trials/squats/moments.sto"', 'emg = "trials/squats/emg.sto"',
-        'ground_forces = "trials/squats/ground_forces.mot"',
-        'external_loads = "trials/squats/external_loads.xml"',
-        f"interval = [{0.5 * STANDING:.2f}, {end - 0.5 * STANDING:.2f}]",
-    ]  # fmt: skip
-    file = work / "subject.toml"
-    file.write_text(file.read_text(encoding="utf-8") + "\n".join(lines) + "\n", encoding="utf-8")
-    shutil.rmtree(out, ignore_errors=True)
-    work.rename(out)
+    with added_trials(case, out) as (work, lines):
+        p = session.person
+        rng = np.random.default_rng([seed, 47])
+        acting = [e for e in effects if e.id not in ABSENT]
+        _, one = take(session, acting, rng)
+        ((measured, moments),) = session.measure([one], acting)
+        noise = gaussian_filter1d(rng.standard_normal(moments.shape), NOISE_TIME * RATE, axis=0)
+        noise *= p.noise["moment"] * session.peak / noise.std(axis=0)
+        peak = session_peak(session.takes)
+        emg = envelope(one, peak, acting, rng, p.noise["emg_cv"]) * peak / scale
+        full = (case / "trials/speed1/angles.sto").exists()
+        write_trial(work / "trials/squats", measured, moments + noise, emg, one, p.side, full)
+        end = one.view.rec.time[-1]
+        lines += [
+            "", "[[trial]]", 'name = "squats"', 'use = "calibration"', 'task = "movement"',
+            f'angles = "trials/squats/angles.{"sto" if full else "mot"}"',
+            'moments = "trials/squats/moments.sto"', 'emg = "trials/squats/emg.sto"',
+            'ground_forces = "trials/squats/ground_forces.mot"',
+            'external_loads = "trials/squats/external_loads.xml"',
+            f"interval = [{0.5 * STANDING:.2f}, {end - 0.5 * STANDING:.2f}]",
+        ]  # fmt: skip
