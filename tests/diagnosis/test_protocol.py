@@ -28,7 +28,7 @@ from wrapjax.diagnosis.protocol.protocol import (
 )
 from wrapjax.diagnosis.protocol.result import AdvisedTrial
 from wrapjax.diagnosis.protocol.trials import candidate_trials
-from wrapjax.diagnosis.task_covariance import ErrorSizes, TaskCovariance, measured_rows
+from wrapjax.diagnosis.task_covariance import ErrorSizes, TaskCovariance
 from wrapjax.errors import InputError
 from wrapjax.subject.model_alone import subject_of_model
 
@@ -76,7 +76,7 @@ def test_rest_tells_of_passive_moments_and_ramps_of_active_muscles(data):
 @pytest.mark.slow
 def test_covariance_of_recorded_cycles_is_that_of_the_score_test(data):
     """Of candidate trials it adds rows, and changes nothing in the recorded ones."""
-    rows = measured_rows(data)
+    rows = np.flatnonzero(data.known)
     recorded = np.flatnonzero(data.recorded)
     coordinates = np.arange(data.measured.shape[1])
     linearized = data.linearized.restricted(recorded, coordinates)

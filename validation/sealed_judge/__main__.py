@@ -20,9 +20,9 @@ def main(arguments: list[str] | None = None) -> int:
     tasks = commands.add_parser("tasks", help="copy a bank, and let its people also do other tasks")
     tasks.add_argument(
         "--kind",
-        choices=("dynamometer", "squats"),
+        choices=("dynamometer", "squats", "running"),
         default="dynamometer",
-        help="passive rotations and isometric ramps by a dynamometer, or squats",
+        help="passive rotations and isometric ramps by a dynamometer, squats, or running",
     )
     tasks.add_argument("--bank", type=Path, required=True)
     tasks.add_argument("--out", type=Path, required=True)

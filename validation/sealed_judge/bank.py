@@ -19,10 +19,10 @@ from .case_files import write_case
 from .detect import Detector
 from .effect import Effect
 from .effects import CATALOGUE, EFFECTS, OUTSIDE
+from .movements import RUNNING, SQUATS, add_movement
 from .other_tasks import add_tasks
 from .person import Person, draw_person
 from .session import Session, Take
-from .squats import add_squats
 
 CASES_PER_PERSON = 5
 SHARES = {"none": 0.3, "single": 0.5, "outside": 0.1, "pair": 0.1}
@@ -174,8 +174,12 @@ def draw_case(entry: dict, seed: int) -> Drawn:
     return Drawn(person, session, session_seed, effects, values, takes, d_star)
 
 
-#: What adds trials of other tasks to a case, by name: of a dynamometer, or squats.
-ADDED = {"dynamometer": add_tasks, "squats": add_squats}
+#: What adds trials of other tasks to a case, by name: of a dynamometer, squats, or running.
+ADDED: dict[str, Callable[..., None]] = {
+    "dynamometer": add_tasks,
+    "squats": lambda *case: add_movement(SQUATS, *case),
+    "running": lambda *case: add_movement(RUNNING, *case),
+}
 
 
 def add_other_tasks(out: Path, entry: dict, seed: int, target: Path, kind: str) -> str:

@@ -15,6 +15,7 @@ from wrapjax.cli.common import (
     add_effect_options,
     print_result,
 )
+from wrapjax.errors import InputError, Problem
 from wrapjax.io.files import check_output_folder
 from wrapjax.jax_setup import set_up_jax
 
@@ -53,6 +54,11 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     diagnose.add_argument("--out", type=Path, required=True, metavar="GAP", help="output folder")
     add_effect_options(diagnose)
     diagnose.add_argument(
+        "--protocol",
+        action="store_true",
+        help="also simulate further trials, and advise the three that would tell most; takes a minute or two",
+    )
+    diagnose.add_argument(
         "--against",
         metavar="B",
         help="find what differs from a second condition of the same person: another subject folder, or one "
@@ -67,6 +73,7 @@ def run(options: argparse.Namespace) -> int:
     from wrapjax.cli.calibrate import iteration_printer
     from wrapjax.diagnosis.diagnosis import diagnose
     from wrapjax.diagnosis.effects.catalogue import refuse_unknown
+    from wrapjax.diagnosis.protocol.protocol import protocol
     from wrapjax.path_sources.polynomial_fit import load_fit
     from wrapjax.progress import print_progress
     from wrapjax.subject.conditions import load_conditions
@@ -75,6 +82,8 @@ def run(options: argparse.Namespace) -> int:
     check_output_folder(options.out, options.force)
     refuse_unknown(options.without)
     conditions: tuple[str, str] | None = None
+    if options.against and options.protocol:
+        raise InputError(Problem("--protocol", "expected no --against, which compares two conditions"))
     if options.against:
         subject, conditions = load_conditions(options.subject, options.against)
     else:
@@ -97,9 +106,16 @@ def run(options: argparse.Namespace) -> int:
         callback=iteration_printer(quiet=options.quiet),
         log=lambda line: print_progress(line, quiet=options.quiet),
     )
+    without_result = done.result.outcome in ("insufficient_data", "not_converged")
+    further = None
+    if options.protocol and not without_result:
+        further = protocol(done, log=lambda line: print_progress(line, quiet=options.quiet))
+        done = further.added_to(done)
     done.save(options.out, force=options.force, motion=True)
+    if further is not None:
+        further.save(options.out / "protocol")
     print_result(options, "gap.json", lambda: str(done))
-    return NOT_CONVERGED if done.result.outcome in ("insufficient_data", "not_converged") else DONE
+    return NOT_CONVERGED if without_result else DONE
 
 
 def _run_against(

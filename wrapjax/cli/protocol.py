@@ -23,9 +23,8 @@ def protocol_table(protocol: Protocol) -> str:
 
     lines = [textwrap.fill(sentence, _WIDTH) for sentence in protocol_findings(protocol)]
     for number, one in enumerate(protocol.advised, start=1):
-        held = ", ".join(f"{name} {value:g} deg" for name, value in one.trial.posture.items())
         lines += ["", f"{number}. {one.trial.what} ({one.trial.task}, {one.trial.minutes} min)"]
-        lines.append(f"   {one.trial.effort}{'; held: ' + held if held else ''}")
+        lines.append(f"   {one.conditions}")
         lines.append(
             f"   adds {one.information:.2f} nats; expected evidence of an undecided effect "
             f"{one.expected_evidence:.1f} nats"
@@ -59,8 +58,8 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         "place",
         type=Path,
         metavar="SUBJECT|MODEL|GAP",
-        help="subject folder; OpenSim model (.osim), with an electrode on every group of muscles; or folder "
-        "from 'diagnose', whose undecided effects are to be told apart",
+        help="subject folder, with all its tasks; OpenSim model (.osim), with an electrode on every group of "
+        "muscles; or folder from 'diagnose', whose undecided effects are to be told apart",
     )
     protocol.add_argument("--out", type=Path, metavar="DIR", help="also write protocol.json and report.html")
     protocol.add_argument(

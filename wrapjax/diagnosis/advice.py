@@ -27,19 +27,23 @@ class Advice:
     Parameters
     ----------
     splits
-        Identifiers of the effects.
+        Identifiers of the effects; empty where it tells more of each, but no two apart.
     experiment
         What to record.
     minutes
         Duration in the laboratory.
     cycles
         Number of cycles that would make one effect 20 times as likely as the other; None if not known.
+    information
+        Information on what is undecided that it adds to what is known and the trials before it, nats; None
+        if it was not simulated.
     """
 
     splits: tuple[str, ...]
     experiment: str
     minutes: int
     cycles: int | None = None
+    information: float | None = None
 
 
 def advise(tie: Sequence[str], least_apart: float, cycles: int) -> Advice | None:

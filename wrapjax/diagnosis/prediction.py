@@ -19,7 +19,7 @@ from wrapjax.model.parameters import ModelParameters
 from wrapjax.muscle.curves import AbstractCurves
 
 #: Number of altered inputs that are kept while an effect is evaluated, each some megabytes.
-_KEPT_INPUTS = 16
+_KEPT_INPUTS = 6
 AlterationFunctions = tuple[AlterationFunction, ...]
 #: Sizes of several effects: one vector for each effect.
 SizesByEffect = tuple[Float[Array, " _"], ...]

@@ -136,12 +136,6 @@ class TaskCovariance:
         )
 
 
-def measured_rows(data: LinearizedTasks) -> Int[np.ndarray, " kept"]:
-    """Return the numbers of the measured rows, in the order ``cycle coordinate phase``."""
-    phases = data.linearized.residual.shape[-1]
-    return np.flatnonzero(np.repeat(data.measured.ravel(), phases))
-
-
 def _within_cycles(
     blocks: Float[np.ndarray, "cycle own own"],
     rows: Int[np.ndarray, " kept"],

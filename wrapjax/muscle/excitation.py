@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import equinox as eqx
 import jax
@@ -14,6 +13,8 @@ from scipy.interpolate import CubicSpline
 
 #: Sharpness of `smooth_unit_clip`: the transition at 0 and at 1 is about one over this wide.
 _SHARPNESS = 20.0
+#: Number of splines that `sharpen_emg` sharpens at once.
+_SHARPENED_TOGETHER = 32
 
 
 def smooth_unit_clip(value: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
@@ -158,17 +159,19 @@ def sharpen_emg(emg: EmgSpline, share: Float[Array, ""], width: float) -> EmgSpl
     EmgSpline
         Splines of the sharpened envelopes.
     """
-    count = emg.coefficients.shape[-1] + 1
+    shape = emg.coefficients.shape
+    count = shape[-1] + 1
     lag = np.subtract.outer(np.arange(count), np.arange(count))
     spline_matrix = CubicSpline(np.arange(count), np.eye(count), bc_type="not-a-knot").c
 
-    @partial(jnp.vectorize, signature="(p,i),()->(p,i)")
-    def high_pass(
-        coefficients: Float[Array, "4 interval"], step: Float[Array, ""]
-    ) -> Float[Array, "4 interval"]:
+    def high_pass(spline: tuple[Float[Array, "4 interval"], Float[Array, ""]]) -> Float[Array, "4 interval"]:
+        coefficients, step = spline
         knots = jnp.append(coefficients[-1], coefficients[:, -1].sum())
         average = jax.nn.softmax(-0.5 * (lag * step / width) ** 2, axis=-1)
         residual = knots - average @ knots
         return spline_matrix @ (residual - average @ residual)
 
-    return replace(emg, coefficients=emg.coefficients + share * high_pass(emg.coefficients, emg.step))
+    # Some splines after the others: each needs a matrix of all its knots.
+    flat = (emg.coefficients.reshape(-1, *shape[-2:]), emg.step.reshape(-1))
+    added = jax.lax.map(high_pass, flat, batch_size=_SHARPENED_TOGETHER).reshape(shape)
+    return replace(emg, coefficients=emg.coefficients + share * added)

@@ -212,7 +212,7 @@ def ties_section(result: DiagnosisResult) -> str:
             )
         )
     if result.advice:
-        parts.append(markup.paragraph("Recordings that would distinguish effects:"))
+        parts.append(markup.paragraph("Recordings that would tell more:"))
         parts.append(markup.bullets(map(_advice, result.advice)))
     return markup.section("Which effects can be distinguished", *parts) if parts else ""
 
@@ -280,5 +280,8 @@ def _most_probable(result: DiagnosisResult) -> tuple[tuple[str, ...], Float[np.n
 
 def _advice(advice: Advice) -> str:
     cycles = "" if advice.cycles is None else f", {counted(advice.cycles, 'cycle')} for odds of 20 to 1"
+    added = "" if advice.information is None else f"adds {advice.information:.2f} nats"
+    apart = f"distinguishes {effect_list(advice.splits)}" if advice.splits else ""
     experiment = advice.experiment[:1].upper() + advice.experiment[1:]
-    return f"{experiment} ({advice.minutes} min{cycles}): distinguishes {effect_list(advice.splits)}."
+    found = "; ".join(part for part in (added, apart) if part)
+    return f"{experiment} ({advice.minutes} min{cycles}): {found}."

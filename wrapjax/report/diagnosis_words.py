@@ -340,10 +340,11 @@ def diagnosis_text(result: DiagnosisResult) -> str:
     if result.budget is not None:
         lines += ["", *_error_lines(result)]
     if result.advice:
-        lines += ["", "Experiments that would distinguish them"]
+        lines += ["", "Recordings that would tell more"]
         lines += [
             textwrap.fill(
-                f"{advice.experiment} ({advice.minutes} min): {', '.join(advice.splits)}",
+                f"{advice.experiment} ({advice.minutes} min): "
+                f"{', '.join(advice.splits) or 'more of each effect'}",
                 _WIDTH,
                 initial_indent="  ",
                 subsequent_indent="    ",

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from wrapjax.diagnosis.decision import TIE_DISTANCE
-from wrapjax.diagnosis.protocol.result import AdvisedTrial, ProtocolResult
+from wrapjax.diagnosis.protocol.result import ProtocolResult
 from wrapjax.diagnosis.score_test import MIN_DETECTABILITY
 from wrapjax.io.files import new_folder, write_json, write_text
 from wrapjax.report import markup
@@ -42,16 +42,11 @@ def protocol_findings(protocol: ProtocolResult) -> list[str]:
     medians = [float(np.median(one.detectability)) for one in both]
     first, further = protocol.advised[0], counted(len(protocol.advised), "further trial")
     return [
-        f"Record first: {first.trial.what} ({_effort(first)}; {first.trial.minutes} min).",
+        f"Record first: {first.trial.what} ({first.conditions}; {first.trial.minutes} min).",
         f"With {protocol.basis}, {visible[0]} of {len(protocol.effects)} effects are visible (detectability "
         f"d' of {MIN_DETECTABILITY:g} or more), with {further} {visible[1]}; the median d' rises from "
         f"{medians[0]:.1f} to {medians[1]:.1f}.",
     ]
-
-
-def _effort(advised: AdvisedTrial) -> str:
-    held = ", ".join(f"{name} {value:g} deg" for name, value in advised.trial.posture.items())
-    return f"{advised.trial.effort}{'; ' + held if held else ''}"
 
 
 def protocol_rows(protocol: ProtocolResult) -> list[tuple[str, ...]]:

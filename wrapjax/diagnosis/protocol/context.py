@@ -53,7 +53,7 @@ class Leg:
         Exact engine of the muscles.
     defaults
         Default values of the model's coordinates, rad or m.
-    frames, padding
+    frames, padding, after
         Frames of a cycle, and of EMG before and after it.
     rest
         Envelope of each channel at rest.
@@ -72,6 +72,7 @@ class Leg:
     defaults: Mapping[str, float]
     frames: int
     padding: int
+    after: int
     rest: Float[np.ndarray, " channel"]
     wraps: tuple[str, ...]
     undriven: UndrivenMuscles | None = None
@@ -155,7 +156,7 @@ def _envelopes(
     envelopes, time
         Envelopes, and times from the start of each movement, s. Before and after it there is rest.
     """
-    frames = np.arange(-leg.padding, leg.frames + leg.padding)
+    frames = np.arange(-leg.padding, leg.frames + leg.after)
     time = step[:, None] * frames
     shape = 0.5 * (1.0 - np.cos(2.0 * np.pi * np.clip(frames / (leg.frames - 1), 0.0, 1.0)))
     acting = _acting(leg, paths)
@@ -269,6 +270,7 @@ def joined(parts: Sequence[tuple[Recording, Context]]) -> tuple[Recording, Conte
     emg = EmgSpline(
         jnp.concatenate([one.emg.coefficients for one in recordings], axis=1),
         jnp.concatenate([one.emg.step for one in recordings], axis=1),
+        start=_joined_starts([one.emg for one in recordings]),
     )
     paths = joined_paths([one.paths for one in contexts])
     undriven = first.undriven_muscles
@@ -304,6 +306,14 @@ def joined(parts: Sequence[tuple[Recording, Context]]) -> tuple[Recording, Conte
     )
     context = with_changes(context, [ChangesOfCycles.of_first(first)])
     return Recording(emg, fixed_path(paths), recordings[0].padding), context
+
+
+def _joined_starts(splines: Sequence[EmgSpline]) -> Int[Array, "muscle cycle"] | None:
+    if all(one.start is None for one in splines):
+        return None
+    return jnp.concatenate(
+        [jnp.zeros(one.step.shape, dtype=int) if one.start is None else one.start for one in splines], axis=1
+    )
 
 
 def _joined_changes(parts: Sequence[PathChanges | None]) -> PathChanges | None:

@@ -16,8 +16,9 @@ from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.cycle_noise import CycleNoise, cycle_noise
 from wrapjax.diagnosis.diagnosis import diagnosis_input
 from wrapjax.diagnosis.effects.catalogue import available_effects, catalogue
-from wrapjax.diagnosis.input import phase_frames, speed_numbers
+from wrapjax.diagnosis.input import DiagnosisInput, phase_frames, speed_numbers
 from wrapjax.diagnosis.linearization import LinearizedModel, linearized_model
+from wrapjax.diagnosis.other_tasks import OtherTasks
 from wrapjax.diagnosis.priors import with_published_priors
 from wrapjax.diagnosis.protocol.context import Leg, at_other_speed, candidate_context, joined
 from wrapjax.diagnosis.protocol.trials import CandidateTrial, candidate_trials
@@ -52,19 +53,54 @@ class ProtocolInput(LinearizedTasks):
     ----------
     trials
         Candidate trials.
-    recorded
-        Whether each cycle was recorded; the trial of those is -1.
+    known
+        Rows whose moments are measured, or would be.
     negative_controls
         Identifiers of effects that cannot be present.
     """
 
     trials: tuple[CandidateTrial, ...]
-    recorded: Bool[np.ndarray, " cycle"]
+    known: Bool[np.ndarray, "cycle coordinate phase"]
     negative_controls: tuple[str, ...]
 
+    @property
+    def recorded(self) -> Bool[np.ndarray, " cycle"]:
+        """Whether each cycle was recorded; their trials have negative numbers, those of gait -1."""
+        return self.trial < 0
 
-def input_of_calibration(calibration: Calibration, without: Sequence[str] = ()) -> ProtocolInput:
-    """Linearise a calibrated model over its calibration cycles and candidate trials.
+
+@dataclass(frozen=True)
+class _Recorded:
+    """What was recorded: inputs of the forward model, context, moments, and trials.
+
+    Parameters
+    ----------
+    recording, context
+        Inputs of the forward model, and context of the effects.
+    measured
+        Measured moments, N m; NaN where none was measured.
+    trial
+        -1 for gait; a smaller number for each recording of another task.
+    """
+
+    recording: Recording
+    context: Context
+    measured: Float[np.ndarray, "recorded coordinate frame"]
+    trial: Int[np.ndarray, " recorded"]
+
+    @property
+    def after(self) -> int:
+        """Frames of EMG after each cycle."""
+        knots = self.recording.emg.coefficients.shape[-1] + 1
+        return int(knots - self.measured.shape[-1] - self.recording.padding)
+
+
+def input_of_calibration(
+    calibration: Calibration,
+    without: Sequence[str] = (),
+    known: tuple[DiagnosisInput, OtherTasks | None] | None = None,
+) -> ProtocolInput:
+    """Linearise a calibrated model over its calibration cycles, other recorded tasks, and candidate trials.
 
     Parameters
     ----------
@@ -72,14 +108,16 @@ def input_of_calibration(calibration: Calibration, without: Sequence[str] = ()) 
         Calibration of one leg to gait.
     without
         Identifiers of effects to leave out.
+    known
+        Input of a diagnosis of this calibration, and its other tasks; without other tasks if not given.
     """
-    data = diagnosis_input(calibration, without)
+    data, others = known if known is not None else (diagnosis_input(calibration, without), None)
     subject, context = calibration.subject, data.calibration_context
-    recording = data.calibration_recording
+    before = _recorded(data, others)
     engine = build_engine(subject)
     wraps = () if context.wraps is None else tuple(name.rsplit(".", 1)[0] for name in context.wraps.names)
     undriven = context.undriven_muscles
-    others = None if undriven is None else _engine_of(subject, undriven.names)
+    undriven_engine = None if undriven is None else _engine_of(subject, undriven.names)
     trials = subject.trials
     leg = Leg(
         muscles=context.muscles,
@@ -90,32 +128,44 @@ def input_of_calibration(calibration: Calibration, without: Sequence[str] = ()) 
         engine=engine,
         defaults=_defaults(subject),
         frames=context.angles.shape[-1],
-        padding=context.padding,
+        padding=before.recording.padding,
+        after=before.after,
         rest=np.percentile(trials.emg, 1.0, axis=(0, 2)),
         wraps=tuple(dict.fromkeys(wraps)),
         undriven=undriven,
-        undriven_engine=others,
+        undriven_engine=undriven_engine,
     )
     candidates = candidate_trials(context.coordinates, _ranges(subject, context.coordinates))
-    measured = data.measured[data.plan.calibration]
-    recorded = replace(context, all_cycles=None)
-    parts = [(recording, recorded), candidate_context(leg, candidates, subject.paretic)]
-    of_trial = [-np.ones(len(measured), int), _numbers(candidates)]
+    parts = [(before.recording, before.context), candidate_context(leg, candidates, subject.paretic)]
+    of_trial = [before.trial, _numbers(candidates)]
     gait_trials: list[CandidateTrial] = []
     for name, (speed, emg, word) in _SPEEDS.items():
         chosen = _cycles_of_speed(context, slowest=speed < 1.0)
-        parts.append(at_other_speed(recording, recorded, chosen, speed=speed, emg=emg, name=name))
+        parts.append(
+            at_other_speed(before.recording, before.context, chosen, speed=speed, emg=emg, name=name)
+        )
         of_trial.append(np.full(len(chosen), len(candidates) + len(gait_trials)))
         gait_trials.append(_gait_trial(name, word, speed, context, chosen))
     return _linearized(
         data.law.free,
         jnp.asarray(data.law.with_free_law(data.variables)),
         parts,
-        measured,
+        before.measured,
         (*candidates, *gait_trials),
         np.concatenate(of_trial),
-        without,
+        data.withheld,
     )
+
+
+def _recorded(data: DiagnosisInput, others: OtherTasks | None) -> _Recorded:
+    """Collect the gait cycles for calibration, and the windows of other tasks."""
+    if others is None:
+        measured = data.measured[data.plan.calibration]
+        context = replace(data.calibration_context, all_cycles=None)
+        return _Recorded(data.calibration_recording, context, measured, np.full(len(measured), -1))
+    names = np.unique(others.recordings, return_inverse=True)[1]
+    trial = np.where(others.context.is_gait, -1, -2 - names)
+    return _Recorded(others.recording, others.context, others.measured, trial)
 
 
 def input_of_model(subject: Subject, without: Sequence[str] = ()) -> ProtocolInput:
@@ -142,6 +192,7 @@ def input_of_model(subject: Subject, without: Sequence[str] = ()) -> ProtocolInp
         defaults=_defaults(subject),
         frames=FRAMES,
         padding=_PADDING,
+        after=_PADDING,
         rest=np.zeros(len(subject.trials.channels)),
         wraps=tuple(wraps),
     )
@@ -213,44 +264,43 @@ def _linearized(
 ) -> ProtocolInput:
     recording, context = joined(parts) if len(parts) > 1 else parts[0]
     effects = available_effects(catalogue(context, without))
-    gait = context.is_gait
-    known = of_trial < 0
     groups = _groups(context, of_trial, trials)
     predicted = np.asarray(joint_moments(problem.curves, problem.parameters(variables), recording))
-    moments = np.concatenate([measured, predicted[len(measured) :]])
+    known = np.ones(predicted.shape, dtype=bool)
+    known[: len(measured)] = np.isfinite(measured)
+    for cycle in np.flatnonzero(of_trial >= 0):
+        known[cycle] &= np.isin(context.coordinates, trials[of_trial[cycle]].measured)[:, None]
+    moments = predicted.copy()
+    moments[: len(measured)] = np.where(known[: len(measured)], measured, predicted[: len(measured)])
     linearized = linearized_model(problem, variables, recording, moments, context, effects, groups)
-    noise = _noise(linearized, known, groups)
+    noise = _noise(linearized, of_trial == -1, groups)
     size = np.sqrt(np.mean(moments**2, axis=-1))
     for number in np.unique(of_trial):
         own = of_trial == number
-        spread = moments[own].std(axis=(0, 2)) if number < 0 else np.sqrt(np.mean(size[own] ** 2, axis=0))
-        size[own] = spread
+        of_gait = number == -1
+        size[own] = moments[own].std(axis=(0, 2)) if of_gait else np.sqrt(np.mean(size[own] ** 2, axis=0))
+    frames = phase_frames(moments.shape[-1])
     return ProtocolInput(
         linearized=replace(linearized, known_noise=noise),
         trials=trials,
-        recorded=known,
+        known=known[..., frames],
         trial=of_trial,
         groups=groups,
-        gait=gait,
-        measured=np.array(
-            [
-                [number < 0 or name in trials[number].measured for name in context.coordinates]
-                for number in of_trial
-            ]
-        ),
+        gait=context.is_gait,
+        measured=np.any(known, axis=-1),
         moment_size=size,
-        angles=np.asarray(context.angles)[..., phase_frames(moments.shape[-1])],
+        angles=np.asarray(context.angles)[..., frames],
         negative_controls=tuple(effect.id for effect in effects if effect.negative_control),
     )
 
 
 def _noise(
-    linearized: LinearizedModel, recorded: Bool[np.ndarray, " cycle"], groups: Int[np.ndarray, " cycle"]
+    linearized: LinearizedModel, gait: Bool[np.ndarray, " cycle"], groups: Int[np.ndarray, " cycle"]
 ) -> CycleNoise:
     """Estimate the noise of the recorded gait cycles; expected values where none was recorded."""
-    if recorded.any():
-        inputs = [replace(one, signatures=one.signatures[:, recorded]) for one in linearized.input_errors]
-        return cycle_noise(linearized.fitted_residual[recorded], groups[recorded], inputs)
+    if gait.any():
+        inputs = [replace(one, signatures=one.signatures[:, gait]) for one in linearized.input_errors]
+        return cycle_noise(linearized.fitted_residual[gait], groups[gait], inputs)
     coordinates, phases = linearized.fitted_residual.shape[1:]
     harmonics = np.arange(phases // 2 + 1)
     # The power of a kernel of 4 % of the cycle.
@@ -269,8 +319,12 @@ def _groups(
     keys: list[tuple[int, int]] = []
     seen: dict[int, int] = {}
     for cycle, number in enumerate(of_trial.tolist()):
-        if number < 0 or gait[cycle]:
-            keys.append((-1 if number < 0 else number, int(speeds[cycle])))
+        if gait[cycle]:
+            keys.append((number, int(speeds[cycle])))
+            continue
+        if number < 0:
+            # A recorded window of another task repeats nothing.
+            keys.append((number, cycle))
             continue
         place = seen.get(number, 0)
         seen[number] = place + 1

@@ -13,17 +13,21 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from wrapjax.calibration.calibration import STARTS, cached_calibration
+from wrapjax.calibration.problem import fit_for_methods
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.calibration.solvers.multistart import IterationCallback
 from wrapjax.diagnosis.decision import TIE_DISTANCE
+from wrapjax.diagnosis.diagnosis import Diagnosis, diagnosis_input
 from wrapjax.diagnosis.effects.catalogue import refuse_unknown
 from wrapjax.diagnosis.linearization import Candidate
+from wrapjax.diagnosis.other_tasks import other_tasks
 from wrapjax.diagnosis.protocol.detectability import Design, Detection, detection, information_gain
 from wrapjax.diagnosis.protocol.inputs import ProtocolInput, input_of_calibration, input_of_model
 from wrapjax.diagnosis.protocol.result import AdvisedTrial, ProtocolResult
 from wrapjax.diagnosis.protocol.trials import CandidateTrial
+from wrapjax.diagnosis.result import DiagnosisResult
 from wrapjax.diagnosis.score_test import MIN_DETECTABILITY
-from wrapjax.diagnosis.task_covariance import ErrorSizes, TaskCovariance, measured_rows
+from wrapjax.diagnosis.task_covariance import ErrorSizes, TaskCovariance
 from wrapjax.errors import InputError, Problem
 from wrapjax.path_sources.exact import ExactGeometry
 from wrapjax.path_sources.polynomial_fit import Fit
@@ -64,6 +68,11 @@ class Protocol(ProtocolResult):
 
         return detectability_figure(self)
 
+    def added_to(self, diagnosis: Diagnosis) -> Diagnosis:
+        """Return a diagnosis whose advice also lists the trials that would tell most."""
+        advice = (*diagnosis.result.advice, *(one.advice for one in self.advised))
+        return replace(diagnosis, result=replace(diagnosis.result, advice=advice))
+
     def save(self, folder: str | Path, *, force: bool = False) -> None:
         """Write ``protocol.json`` and ``report.html``.
 
@@ -80,7 +89,7 @@ class Protocol(ProtocolResult):
 
 
 def protocol(
-    subject: Subject | str | Path,
+    subject: Subject | Diagnosis | str | Path,
     method: str = "NGA",
     fit: Fit | ExactGeometry | None = None,
     *,
@@ -102,13 +111,15 @@ def protocol(
     Parameters
     ----------
     subject
-        Subject from `load_subject`, which is calibrated to its gait (the calibration is cached); or an
-        OpenSim model (``.osim``) alone, with an electrode on every group of muscles.
+        Subject from `load_subject`, which is calibrated to its gait (the calibration is cached), with all
+        tasks that were recorded; a finished diagnosis, which is not repeated; or an OpenSim model (``.osim``)
+        alone, with an electrode on every group of muscles.
     method, fit, starts, seed, callback
-        See `calibrate`.
+        See `calibrate`; not used with a finished diagnosis.
     probabilities
         Probability of each effect by a finished diagnosis: trials are then advised that tell apart what it
-        left undecided. Effects that are not given have none. If None, all effects count alike.
+        left undecided. Effects that are not given have none. If None, those of the diagnosis that is given;
+        without one all effects count alike.
     side
         Leg of a model alone, ``l`` or ``r``.
     without
@@ -130,23 +141,52 @@ def protocol(
     """
     refuse_unknown(without)
     began = time.perf_counter()
-    if not isinstance(subject, Subject):
-        subject = subject_of_model(subject, side)
-    if len(subject.trials):
-        one_leg = replace(with_gait_alone(subject, "the advice on trials"), other_leg=None)
+    if isinstance(subject, Diagnosis):
+        known = (subject.data.without((*subject.data.withheld, *without)), subject.other_tasks)
+        if probabilities is None:
+            probabilities = undecided(subject.result)
+        calibration = subject.calibration
+    else:
+        leg = subject if isinstance(subject, Subject) else subject_of_model(subject, side)
+        if not len(leg.trials):
+            log("computing the signature of every effect in every trial")
+            data = input_of_model(leg, without)
+            basis = "the model alone, without recordings, with an electrode on every group of muscles"
+            return advise_trials(leg.name, basis, data, probabilities, began, log)
+        one_leg = replace(with_gait_alone(leg, "the calibration before the advice"), other_leg=None)
+        all_gait = bool(leg.trials.is_gait.all())
+        if fit is None and not all_gait:
+            # The polynomials have to hold over the angles of all tasks.
+            fit = fit_for_methods((method,), leg)
         calibration = cached_calibration(one_leg, method, fit, starts=starts, seed=seed, callback=callback)
         if calibration.status is Status.interrupted:
             raise KeyboardInterrupt
-        log("computing the signature of every effect in every trial")
-        data = input_of_calibration(calibration, without)
-        cycles = int(data.recorded.sum())
-        basis = f"{cycles} recorded gait cycle{'s' if cycles > 1 else ''}"
-    else:
-        log("computing the signature of every effect in every trial")
-        data = input_of_model(subject, without)
-        basis = "the model alone, without recordings, with an electrode on every group of muscles"
-    log("comparing trials")
-    return advise_trials(subject.name, basis, data, probabilities, began)
+        of_gait = diagnosis_input(calibration, without)
+        known = (of_gait, None if all_gait else other_tasks(calibration, of_gait, leg))
+    log("computing the signature of every effect in every trial")
+    data = input_of_calibration(calibration, without, known)
+    return advise_trials(calibration.subject.name, _basis(data), data, probabilities, began, log)
+
+
+def undecided(result: DiagnosisResult) -> dict[str, float] | None:
+    """Return the probability of each effect by a diagnosis; None where it gives no effect any."""
+    found = {
+        one.id: one.probability
+        for one in result.effects
+        if one.id not in ("none", "unknown") and one.probability is not None
+    }
+    return found if max(found.values(), default=0.0) >= _LEAST_WEIGHT else None
+
+
+def _basis(data: ProtocolInput) -> str:
+    """Write what had been recorded."""
+    cycles = int(np.sum(data.trial == -1))
+    others = data.trial[data.trial < -1]
+    trials = len(np.unique(others))
+    basis = f"{cycles} recorded gait cycle{'s' if cycles > 1 else ''}"
+    if not trials:
+        return basis
+    return f"{basis} and {len(others)} s of {trials} other trial{'s' if trials > 1 else ''}"
 
 
 def subject_and_probabilities(place: Path, side: str = "r") -> tuple[Subject, dict[str, float] | None]:
@@ -209,8 +249,10 @@ def advise_trials(
     data: ProtocolInput,
     probabilities: Mapping[str, float] | None,
     began: float,
+    log: Callable[[str], None] = lambda line: None,
 ) -> Protocol:
     """Choose trials one after the other, each the best after the earlier ones."""
+    log("comparing trials")
     candidates = tuple(one for one in data.linearized.candidates if one.id not in data.negative_controls)
     design, row_trial = _design(data, candidates)
     weights, rivals = _weights(candidates, probabilities)
@@ -302,6 +344,6 @@ def _split(
 
 def _design(data: ProtocolInput, candidates: Sequence[Candidate]) -> tuple[Design, Int[np.ndarray, " row"]]:
     """Build the design over the rows that are measured, and the trial of each; -1 of recorded rows."""
-    rows = measured_rows(data)
+    rows = np.flatnonzero(data.known)
     design = Design.of_effects(candidates, TaskCovariance.of(data, rows)(ErrorSizes()), rows)
     return design, np.repeat(data.trial, data.linearized.residual[0].size)[rows]

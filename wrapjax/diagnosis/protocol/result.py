@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from wrapjax.diagnosis.advice import Advice
 from wrapjax.diagnosis.protocol.detectability import Detection
 from wrapjax.diagnosis.protocol.trials import CandidateTrial
 
@@ -35,6 +36,22 @@ class AdvisedTrial:
     expected_evidence: float
     detected: Detection
     splits: tuple[tuple[str, str], ...]
+
+    @property
+    def conditions(self) -> str:
+        """Effort, and the angles of the joints that are held, in words."""
+        held = ", ".join(f"{name} {value:g} deg" for name, value in self.trial.posture.items())
+        return f"{self.trial.effort}{'; held: ' + held if held else ''}"
+
+    @property
+    def advice(self) -> Advice:
+        """The trial as the advice of a diagnosis."""
+        return Advice(
+            splits=tuple(dict.fromkeys(id for pair in self.splits for id in pair)),
+            experiment=f"{self.trial.what} ({self.conditions})",
+            minutes=self.trial.minutes,
+            information=self.information,
+        )
 
 
 @dataclass(frozen=True)
