@@ -1,5 +1,7 @@
 """Defends: a dynamometer's torque becomes the moment of the joint alone, or is refused in one sentence."""
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from tests.preprocessing import analog_file
 from wrapjax.errors import InputError
 from wrapjax.io.toml import TableReader
 from wrapjax.preprocessing.dynamometer import (
@@ -95,6 +98,31 @@ def test_mat_and_csv_give_the_same(tmp_path, nested):
     names = {key: f"trial.{key}" if nested else key for key in columns}
     matlab = read(settings(tmp_path / "ankle.mat", **names))
     np.testing.assert_allclose(matlab.moment, text.moment, atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """Analog channels in V of a C3D file: 0.02 V for 1 N m, 0.1 V for 1 degree."""
+    folder = tmp_path_factory.mktemp("device")
+    angle = ankle(TIME)
+    volts = np.column_stack([0.1 * np.degrees(DEVICE_ZERO - angle), -0.02 * passive(angle)])
+    np.savetxt(folder / "volts.csv", volts, delimiter=",", header="Position,Torque", comments="")
+    # In a separate process, as ezc3d cannot write after OpenSim has been imported.
+    arguments = [str(folder / "ankle.c3d"), str(folder / "volts.csv"), str(RATE)]
+    subprocess.run([sys.executable, analog_file.__file__, *arguments], check=True)
+    return folder / "ankle.c3d"
+
+
+def test_channels_of_a_c3d_file_in_volts_give_the_same(tmp_path, recorded):
+    angle = ankle(TIME)
+    text = read(settings(write(tmp_path / "ankle.csv", angle, passive(angle))))
+    names = {"time": "", "angle": "Position", "torque": "Torque"}
+    found = read(settings(recorded, **names, torque_scale=50.0, angle_scale=10.0))
+    np.testing.assert_allclose(found.moment, text.moment, atol=1e-4)
+    np.testing.assert_allclose(found.angle, text.angle, atol=1e-6)
+    assert "in 50 N m" in found.notes[0] and "angle in 10 deg" in found.notes[0]
+    with pytest.raises(InputError, match="did you mean 'Torque'"):
+        read(settings(recorded, **names | {"torque": "torque"}))
 
 
 def test_weight_by_a_cubic_through_still_samples(tmp_path):
@@ -188,7 +216,12 @@ def test_settings_are_read_and_their_faults_named(tmp_path):
     found, problems = read_table(tmp_path, torque_sign=-1, angle_offset_deg=90)
     assert not problems and found.torque_sign == -1 and found.angle_sign == 1
     assert found.angle_offset == pytest.approx(np.pi / 2)
+    (tmp_path / "ankle.c3d").write_bytes(b"")
+    found, problems = read_table(tmp_path, file="ankle.c3d", rate_hz=None, torque_scale=50.0)
+    assert not problems and found.torque_scale == 50.0 and found.angle_scale == 1.0
     for changes, words in (
+        ({"file": "ankle.c3d"}, "time: expected neither time nor rate_hz"),
+        ({"torque_scale": 0.0}, "torque_scale: expected a number"),
         ({"time": "t"}, "either a column of times or rate_hz"),
         ({"torque_unit": "Nm"}, "torque_unit: expected 'N m'"),
         ({"torque_sign": 0.5}, "torque_sign: expected 1 or -1"),

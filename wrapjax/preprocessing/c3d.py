@@ -32,6 +32,11 @@ _MAX_DIMENSIONS = 7
 _BYTE_ORDERS = {84: "<", 85: "<", 86: ">"}
 
 
+def is_c3d(path: Path) -> bool:
+    """Return whether a file is a C3D file by its name."""
+    return path.suffix.lower() == ".c3d"
+
+
 def check_layout(content: bytes, path: Path) -> None:
     """Check that the header, the parameters and the number of frames of a C3D file are consistent.
 

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.errors import InputError, Problem
+from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.toml import TableReader
+from wrapjax.preprocessing.c3d import is_c3d, read_c3d_analog
 from wrapjax.preprocessing.dynamometer_files import read_device_columns
 from wrapjax.preprocessing.markers import low_pass
 from wrapjax.subject.emg_envelopes import resample_evenly
@@ -36,17 +37,20 @@ class DynamometerSettings:
     Parameters
     ----------
     file
-        File of the device.
+        File of the device; of a ``.c3d`` file, its analog channels.
     coordinate
         Coordinate about whose axis the device measures.
     time, angle, torque
-        Names of its columns or variables; ``time`` is empty where the rate is given.
+        Names of its columns, variables or channels; ``time`` is empty where the rate is given, and in a
+        ``.c3d`` file.
     rate_hz
-        Sampling rate, Hz; NaN where there is a column of times.
+        Sampling rate, Hz; NaN where there is a column of times or the file states it.
     start
         Time of the first sample, s, by the clock of the other files (with a column of times: added to it).
     torque_unit, angle_unit
         Of `TORQUE_UNITS` and `ANGLE_UNITS`.
+    torque_scale, angle_scale
+        Torque and angle, in these units, for a value of 1 in the file, as for a channel in V.
     torque_sign, angle_sign
         1 where the device has the signs of the model's coordinate, else -1.
     angle_offset
@@ -71,6 +75,8 @@ class DynamometerSettings:
     angle_offset: float
     weight_trial: Path | None
     still: tuple[tuple[float, float], ...]
+    torque_scale: float = 1.0
+    angle_scale: float = 1.0
 
 
 def read_dynamometer(reader: TableReader, folder: Path) -> DynamometerSettings | None:
@@ -90,7 +96,10 @@ def read_dynamometer(reader: TableReader, folder: Path) -> DynamometerSettings |
     time = own.text("time", required=False)
     angle, torque = own.text("angle"), own.text("torque")
     rate = own.number("rate_hz", lowest=5.0, highest=1e5, unit="Hz", required=False)
-    if (time is None) == (rate is None):
+    if files["file"] is not None and is_c3d(files["file"]):
+        if time is not None or rate is not None:
+            own.add_problem("time", "expected neither time nor rate_hz, as a C3D file states its rate")
+    elif (time is None) == (rate is None):
         own.add_problem("time", "expected either a column of times or rate_hz")
     start = own.number("start_s", lowest=-1e6, highest=1e6, unit="s", required=False)
     torque_unit = own.text("torque_unit", required=False, choices=tuple(TORQUE_UNITS))
@@ -102,6 +111,10 @@ def read_dynamometer(reader: TableReader, folder: Path) -> DynamometerSettings |
     for key, sign in zip(("torque_sign", "angle_sign"), signs, strict=True):
         if sign is not None and abs(sign) != 1.0:
             own.add_problem(key, f"expected 1 or -1, found {sign:g}")
+    scales = [
+        own.number(key, lowest=1e-6, highest=1e6, unit="per unit of the file", required=False)
+        for key in ("torque_scale", "angle_scale")
+    ]
     offset = own.number("angle_offset_deg", lowest=-360.0, highest=360.0, unit="degrees", required=False)
     still = read_spans_of(own, "still") if own.has("still") else ()
     if still and files["weight_trial"] is not None:
@@ -125,6 +138,8 @@ def read_dynamometer(reader: TableReader, folder: Path) -> DynamometerSettings |
         angle_offset=math.radians(offset or 0.0),
         weight_trial=files["weight_trial"],
         still=still,
+        torque_scale=scales[0] or 1.0,
+        angle_scale=scales[1] or 1.0,
     )
 
 
@@ -239,27 +254,52 @@ def compare_angles(
 def _read(settings: DynamometerSettings, file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Read time (s), angle (rad) and torque (N m), with the model's signs."""
     names = (settings.angle, settings.torque, *([settings.time] if settings.time else []))
-    angle, torque, *times = read_device_columns(file, names)
-    if times:
-        time = times[0] + settings.start
-        if (np.diff(time) <= 0.0).any():
-            place = int(np.argmax(np.diff(time) <= 0.0))
-            message = f"expected rising times, found {time[place]:g} and then {time[place + 1]:g} s"
-            raise InputError(Problem(str(file), message, f"column {settings.time}"))
+    if is_c3d(file):
+        time, (angle, torque) = _read_analog(file, names)
+        time = settings.start + time
     else:
-        time = settings.start + np.arange(angle.size) / settings.rate_hz
-    angle = settings.angle_sign * ANGLE_UNITS[settings.angle_unit] * angle + settings.angle_offset
+        angle, torque, *times = read_device_columns(file, names)
+        time = settings.start + (times[0] if times else np.arange(angle.size) / settings.rate_hz)
+    if (np.diff(time) <= 0.0).any():
+        place = int(np.argmax(np.diff(time) <= 0.0))
+        message = f"expected rising times, found {time[place]:g} and then {time[place + 1]:g} s"
+        raise InputError(Problem(str(file), message, f"column {settings.time}"))
+    turned = settings.angle_sign * ANGLE_UNITS[settings.angle_unit] * settings.angle_scale
+    pushed = settings.torque_sign * TORQUE_UNITS[settings.torque_unit] * settings.torque_scale
+    angle = turned * angle + settings.angle_offset
     if np.abs(angle).max() > 2.0 * np.pi:
         message = f"found {np.abs(angle).max():.4g} rad, more than a full turn"
         raise InputError(Problem(str(file), message, f"column {settings.angle}", "is angle_unit right?"))
-    return time, angle, settings.torque_sign * TORQUE_UNITS[settings.torque_unit] * torque
+    return time, angle, pushed * torque
+
+
+def _read_analog(
+    file: Path, names: tuple[str, ...]
+) -> tuple[Float[np.ndarray, " sample"], Float[np.ndarray, "name sample"]]:
+    """Read analog channels of a C3D file, and the times of their samples, s."""
+    table = read_c3d_analog(file)
+    problems = [
+        Problem(str(file), "is not in the file", f"channel {name}", nearest_name(name, table.columns))
+        for name in names
+        if name not in table.columns
+    ]
+    if problems:
+        raise InputError(problems)
+    return table.time, table.values.T[[table.columns.index(name) for name in names]]
 
 
 def _conversion_note(settings: DynamometerSettings) -> str:
     signs = {1: "as the device has it", -1: "of opposite sign"}
+    torque, angle = (
+        unit if scale == 1.0 else f"{scale:g} {unit}"
+        for scale, unit in (
+            (settings.torque_scale, settings.torque_unit),
+            (settings.angle_scale, settings.angle_unit),
+        )
+    )
     return (
-        f"{settings.file}: torque about {settings.coordinate} in {settings.torque_unit}, "
-        f"{signs[settings.torque_sign]}; angle in {settings.angle_unit}, {signs[settings.angle_sign]}, plus "
+        f"{settings.file}: torque about {settings.coordinate} in {torque}, {signs[settings.torque_sign]}; "
+        f"angle in {angle}, {signs[settings.angle_sign]}, plus "
         f"{math.degrees(settings.angle_offset):g} degrees"
     )
 

@@ -13,7 +13,7 @@ from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.geometry.model_description import Coordinate
 from wrapjax.io.model_file import ModelFile
 from wrapjax.io.storage import Storage, read_storage
-from wrapjax.preprocessing.c3d import read_c3d_analog, read_c3d_markers, read_plates
+from wrapjax.preprocessing.c3d import is_c3d, read_c3d_analog, read_c3d_markers, read_plates
 from wrapjax.preprocessing.emg_quality import emg_faults, envelope_faults
 from wrapjax.preprocessing.force_plates import FootForces, read_force_columns
 from wrapjax.preprocessing.joint_angles import Motion, read_motion
@@ -95,12 +95,8 @@ def read_files(
     return RecordedFiles(recorded, forces, emg_time, volts, tuple(notes))
 
 
-def _is_c3d(path: Path) -> bool:
-    return path.suffix.lower() == ".c3d"
-
-
 def _read_forces(path: Path, settings: LaboratorySettings) -> FootForces:
-    plates = _is_c3d(path)
+    plates = is_c3d(path)
     key = "plates" if plates else "force"
     problems = [
         Problem(str(settings.file), f"expected {key}, needed to read {path}", f"[forces.{side}]")
@@ -125,7 +121,7 @@ def _read_recorded_motion(
     if trial.angles is not None:
         return read_motion(trial.angles, model.file.coordinates, model.coupled, settings.coordinates, notes)
     assert trial.markers is not None
-    read = read_c3d_markers if _is_c3d(trial.markers) else read_trc
+    read = read_c3d_markers if is_c3d(trial.markers) else read_trc
     markers = read(trial.markers).rotated(laboratory_rotation(settings.forward, settings.up))
     names = match_markers(markers, model.markers, settings.ignored_markers, trial.markers)
     missing = [name for name in model.markers if name not in names and name not in settings.ignored_markers]
@@ -138,7 +134,7 @@ def _read_emg(
     path: Path, settings: LaboratorySettings
 ) -> tuple[Float[np.ndarray, " sample"], Float[np.ndarray, "channel sample"]]:
     """Read raw EMG at the electrode (V) or envelopes, and raise an error for faulty channels."""
-    table: Storage = read_c3d_analog(path) if _is_c3d(path) else read_storage(path, trust_row_count=False)
+    table: Storage = read_c3d_analog(path) if is_c3d(path) else read_storage(path, trust_row_count=False)
     missing = [name for name in settings.channels if name not in table.columns]
     problems = [
         Problem(str(path), "is not in the file", f"column {name}", nearest_name(name, table.columns))
