@@ -12,10 +12,9 @@ import pytest
 
 from tests.osim.test_scaling import SETUP
 from tests.preprocessing import walker, walker_c3d
-from wrapjax.io.storage import Storage, read_storage, write_storage
+from wrapjax.io.storage import read_storage
 from wrapjax.osim.model import describe_model
 from wrapjax.report import markup
-from wrapjax.subject.emg_envelopes import compute_envelopes
 from wrapjax.subject.subject import load_subject
 
 
@@ -129,7 +128,7 @@ def test_one_c3d_file_gives_the_same(run, laboratory, prepared, tmp_path):
     settings = tmp_path / "prepare.toml"
     settings.write_text(walker.SETTINGS)
     # One cycle suffices and is faster.
-    _text(
+    walker.replace_text(
         settings,
         ('force = "left_v"\npoint = "left_p"', "plates = [1]"),
         ('force = "right_v"\npoint = "right_p"', "plates = [2]"),
@@ -177,84 +176,74 @@ def solved(laboratory, prepared, tmp_path):
     return tmp_path / "prepare.toml"
 
 
-def _table(settings, name, change):
-    """Change a table's time and columns (by name)."""
-    file = settings.parent / name
-    table = read_storage(file)
-    time, columns = change(table.time, dict(zip(table.columns, table.values.T, strict=True)))
-    write_storage(file, Storage(table.name, tuple(columns), time, np.array(list(columns.values())).T))
-
-
-def _text(settings, *pairs):
-    text = settings.read_text()
-    for old, new in pairs:
-        assert old in text
-        text = text.replace(old, new)
-    settings.write_text(text)
-
-
 def _late(settings):
-    _table(settings, "forces.mot", lambda time, columns: (time + 0.05, columns))
+    walker.change_table(settings, "forces.mot", lambda time, columns: (time + 0.05, columns))
 
 
 def _early(settings):
-    _table(settings, "forces.mot", lambda time, columns: (time - 0.05, columns))
+    walker.change_table(settings, "forces.mot", lambda time, columns: (time - 0.05, columns))
 
 
 def _swapped(settings):
-    _text(settings, ('"left_', '"?_'), ('"right_', '"left_'), ('"?_', '"right_'))
+    walker.replace_text(settings, ('"left_', '"?_'), ('"right_', '"left_'), ('"?_', '"right_'))
 
 
 def _kilonewtons(settings):
     def change(time, columns):
         return time, {name: 1e-3 * each if "_v" in name else each for name, each in columns.items()}
 
-    _table(settings, "forces.mot", change)
-    _text(settings, ('use = "calibration"', 'use = "calibration"\ncycles = [[0.5, 1.6]]'))
+    walker.change_table(settings, "forces.mot", change)
+    walker.replace_text(settings, ('use = "calibration"', 'use = "calibration"\ncycles = [[0.5, 1.6]]'))
 
 
 def _millimeters(settings):
     def change(time, columns):
         return time, {name: 1e3 * each if "_p" in name else each for name, each in columns.items()}
 
-    _table(settings, "forces.mot", change)
+    walker.change_table(settings, "forces.mot", change)
 
 
 def _dead(settings):
-    _table(settings, "emg.sto", lambda time, columns: (time, columns | {"RF": 0.0 * time}))
+    walker.change_table(settings, "emg.sto", lambda time, columns: (time, columns | {"RF": 0.0 * time}))
 
 
 def _clipped(settings):
     def change(time, columns):
         return time, columns | {"RF": np.clip(columns["RF"], -4e-4, 4e-4)}
 
-    _table(settings, "emg.sto", change)
+    walker.change_table(settings, "emg.sto", change)
 
 
 def _copied(settings):
-    _table(settings, "emg.sto", lambda time, columns: (time, columns | {"TA": 2.0 * columns["RF"]}))
+    walker.change_table(
+        settings, "emg.sto", lambda time, columns: (time, columns | {"TA": 2.0 * columns["RF"]})
+    )
 
 
 def _microvolts(settings):
-    _table(settings, "emg.sto", lambda time, columns: (time, {k: 1e6 * v for k, v in columns.items()}))
+    walker.change_table(
+        settings, "emg.sto", lambda time, columns: (time, {k: 1e6 * v for k, v in columns.items()})
+    )
 
 
 def _other_leg(settings):
     """Shift the calf EMG by half a gait cycle, as if it were of the other leg."""
     shift = round(0.5 * walker.PERIOD * walker.EMG_RATE)
-    _table(settings, "emg.sto", lambda time, c: (time, c | {"Sol": np.roll(c["Sol"], shift)}))
+    walker.change_table(settings, "emg.sto", lambda time, c: (time, c | {"Sol": np.roll(c["Sol"], shift)}))
 
 
 def _degrees(settings):
-    _table(settings, "angles.sto", lambda time, c: (time, {k: np.degrees(v) for k, v in c.items()}))
+    walker.change_table(
+        settings, "angles.sto", lambda time, c: (time, {k: np.degrees(v) for k, v in c.items()})
+    )
 
 
 def _misspelt(settings):
-    _text(settings, ("Sol =", "Soll ="))
+    walker.replace_text(settings, ("Sol =", "Soll ="))
 
 
 def _elsewhere(settings):
-    _text(settings, ('body = "calcn_r"', 'body = "calc_r"'))
+    walker.replace_text(settings, ('body = "calcn_r"', 'body = "calc_r"'))
 
 
 def _right_alone(settings):
@@ -264,15 +253,15 @@ def _right_alone(settings):
 
 
 def _plates(settings):
-    _text(settings, ('force = "right_v"\npoint = "right_p"', "plates = [2]"))
+    walker.replace_text(settings, ('force = "right_v"\npoint = "right_p"', "plates = [2]"))
 
 
 def _pounds(settings):
-    _text(settings, ("mass_kg = 70.0", "mass_kg = 154.3"))
+    walker.replace_text(settings, ("mass_kg = 70.0", "mass_kg = 154.3"))
 
 
 def _heavier(settings):
-    _text(settings, ("mass_kg = 70.0", "mass_kg = 78.0"))
+    walker.replace_text(settings, ("mass_kg = 70.0", "mass_kg = 78.0"))
 
 
 PLANTED = {
@@ -313,7 +302,7 @@ def test_a_coupled_patella_in_degrees_is_noted_and_corrected(run, solved, prepar
     def change(time, columns):
         return time, columns | {"knee_angle_l_beta": np.degrees(columns["knee_angle_l_beta"])}
 
-    _table(solved, "angles.sto", change)
+    walker.change_table(solved, "angles.sto", change)
     folder = solved.parent / "out"
     outcome = run("prepare", solved, "--out", folder, "--json")
     assert outcome.status == 0, outcome.progress
@@ -326,7 +315,7 @@ def test_a_coupled_patella_in_degrees_is_noted_and_corrected(run, solved, prepar
 
 def test_accepted_channels_are_used_despite_errors(run, solved):
     _copied(solved)
-    _text(solved, ('unit = "V"', 'unit = "V"\naccept = ["RF", "TA"]'))
+    walker.replace_text(solved, ('unit = "V"', 'unit = "V"\naccept = ["RF", "TA"]'))
     assert run("prepare", solved, "--out", solved.parent / "out").status == 0
 
 
@@ -340,8 +329,8 @@ def _stepped(settings, **spans):
                 columns[f"{foot}_v{axis}"][off] = 0.0
         return time, columns
 
-    _table(settings, "forces.mot", change)
-    _text(settings, ('use = "calibration"', 'use = "calibration"\ncycles = [[1.566, 2.65]]'))
+    walker.change_table(settings, "forces.mot", change)
+    walker.replace_text(settings, ('use = "calibration"', 'use = "calibration"\ncycles = [[1.566, 2.65]]'))
 
 
 def _left_alone(settings):
@@ -386,7 +375,7 @@ def test_steps_of_the_leg_beside_the_plates_are_reported(run, solved):
             columns[f"left_v{axis}"][(time > 1.5) & (time < 2.3)] = 0.0
         return time, columns
 
-    _table(solved, "forces.mot", change)
+    walker.change_table(solved, "forces.mot", change)
     outcome = run("prepare", solved, "--out", solved.parent / "out")
     assert outcome.status == 2
     assert "steps of the left foot" in outcome.progress and "list as cycles" in outcome.progress
@@ -398,7 +387,7 @@ def test_the_hint_for_a_too_small_force_solves_it(run, solved):
     def change(time, columns):
         return time, {name: 0.5 * v if name.startswith("right_v") else v for name, v in columns.items()}
 
-    _table(solved, "forces.mot", change)
+    walker.change_table(solved, "forces.mot", change)
     outcome = run("prepare", solved, "--out", solved.parent / "out")
     assert outcome.status == 2 and "leave out that foot's forces" in outcome.progress
     text = solved.read_text()
@@ -406,59 +395,6 @@ def test_the_hint_for_a_too_small_force_solves_it(run, solved):
     solved.write_text(text[:start] + text[end:])
     outcome = run("prepare", solved, "--out", solved.parent / "out")
     assert outcome.status == 0, outcome.progress
-
-
-def test_envelopes_are_refused_as_raw_emg_and_the_hint_works(run, solved):
-    table = read_storage(solved.parent / "emg.sto")
-    envelopes = compute_envelopes(table.values.T, walker.EMG_RATE, walker.PERIOD)
-    envelopes /= envelopes.max(axis=1, keepdims=True)
-    _table(solved, "emg.sto", lambda time, columns: (time, dict(zip(columns, envelopes, strict=True))))
-    folder = solved.parent / "out"
-    outcome = run("prepare", solved, "--out", folder)
-    assert outcome.status == 2
-    assert 'write kind = "envelope" in [emg], in place of unit and gain' in outcome.progress
-    _text(solved, ('unit = "V"', 'kind = "envelope"'))
-    outcome = run("prepare", solved, "--out", folder)
-    assert outcome.status == 0, outcome.progress
-    assert "'Sol' is active" in outcome.output
-    assert 'kind = "envelope"' in (folder / "subject.toml").read_text()
-    kept = read_storage(folder / "trials" / "walk" / "emg.sto")
-    expected = [np.interp(kept.time, table.time, row) for row in envelopes]
-    np.testing.assert_allclose(kept.values.T, expected, atol=1e-6)
-    assert load_subject(folder).trials.emg.max() == pytest.approx(1.0, abs=0.05)
-
-
-ENVELOPES = {
-    "dead": (lambda own: 0.0 * own, "is dead"),
-    "raw": (lambda own: own - own.mean(), "is raw: expected an envelope"),
-    "percent": (lambda own: 100.0 * np.abs(own), "expected an envelope normalised to about 1"),
-}
-
-
-@pytest.mark.parametrize("fault", ENVELOPES)
-def test_channels_that_are_not_envelopes_are_named(run, solved, fault):
-    spoil, said = ENVELOPES[fault]
-
-    def change(time, columns):
-        shape = {name: np.abs(np.sin((3.0 + row) * time)) for row, name in enumerate(columns)}
-        return time, shape | {"RF": spoil(np.sin(7.0 * time))}
-
-    _table(solved, "emg.sto", change)
-    _text(solved, ('unit = "V"', 'kind = "envelope"'))
-    outcome = run("prepare", solved, "--out", solved.parent / "out")
-    assert outcome.status == 2 and said in outcome.progress and "channel RF" in outcome.progress
-
-
-def test_envelopes_have_no_unit(run, solved):
-    _text(solved, ('unit = "V"', 'unit = "V"\nkind = "envelope"'))
-    outcome = run("prepare", solved, "--out", solved.parent / "out")
-    assert outcome.status == 2 and "expected no unit and no gain of envelopes" in outcome.progress
-
-
-def test_all_keys_of_emg_are_listed(run, solved):
-    _text(solved, ('unit = "V"', 'unit = "V"\nrate = 5'))
-    outcome = run("prepare", solved, "--out", solved.parent / "out")
-    assert outcome.status == 2 and "known: kind, unit, gain, accept, channels" in outcome.progress
 
 
 def test_a_generic_model_is_scaled(run, solved):
@@ -469,7 +405,7 @@ def test_a_generic_model_is_scaled(run, solved):
     (solved.parent / "setup.xml").write_text(SETUP, encoding="utf-8")
     # The mass is also that of the person, not of the generic model.
     _heavier(solved)
-    _text(solved, ('file = "scaled.osim"', 'file = "scaled.osim"\nscaling = "setup.xml"'))
+    walker.replace_text(solved, ('file = "scaled.osim"', 'file = "scaled.osim"\nscaling = "setup.xml"'))
     folder = solved.parent / "out"
     outcome = run("prepare", solved, "--out", folder)
     assert outcome.status == 0, outcome.progress
@@ -481,7 +417,7 @@ def test_a_generic_model_is_scaled(run, solved):
 
 
 def test_all_errors_of_the_settings_are_reported_together(run, solved):
-    _text(
+    walker.replace_text(
         solved,
         ("mass_kg = 70.0", "mass_kg = 70000"),
         ('unit = "V"', 'unit = "volt"'),
@@ -500,7 +436,9 @@ def test_swapped_markers_are_reported(run, laboratory, tmp_path):
     swap = {"L": "R", "R": "L"}
     lines[3] = "\t".join(swap.get(cell[:1], cell[:1]) + cell[1:] for cell in lines[3].split("\t"))
     (tmp_path / "walk.trc").write_text("\n".join(lines) + "\n")
-    _text(tmp_path / "prepare.toml", ('emg = "emg.sto"', 'emg = "emg.sto"\ncycles = [[1.55, 2.65]]'))
+    walker.replace_text(
+        tmp_path / "prepare.toml", ('emg = "emg.sto"', 'emg = "emg.sto"\ncycles = [[1.55, 2.65]]')
+    )
     outcome = run("prepare", tmp_path / "prepare.toml", "--out", tmp_path / "out")
     assert outcome.status == 2
     assert "left and right?" in outcome.progress or "the legs are swapped" in outcome.progress

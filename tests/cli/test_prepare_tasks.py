@@ -15,14 +15,7 @@ from wrapjax.subject.subject import load_subject
 @pytest.fixture(scope="module")
 def laboratory(tmp_path_factory):
     """The walker's files with angles in place of markers, and moments that a laboratory computed."""
-    folder = tmp_path_factory.mktemp("lab")
-    settings = walker.write_laboratory(folder)
-    time = walker.simulated_positions()[0]
-    motion = walker.motion(time)
-    angles = walker.Storage("angles", tuple(motion), time, np.array(list(motion.values())).T)
-    write_storage(folder / "angles.sto", angles)
-    settings.write_text(settings.read_text().replace('markers = "walk.trc"', 'angles = "angles.sto"'))
-    return settings
+    return walker.write_laboratory_with_angles(tmp_path_factory.mktemp("lab"))
 
 
 @pytest.fixture(scope="module")

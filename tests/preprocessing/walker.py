@@ -11,7 +11,7 @@ import opensim
 from scipy.interpolate import CubicSpline
 
 from tests.preprocessing.synthetic_emg import raw_emg
-from wrapjax.io.storage import Storage, write_storage
+from wrapjax.io.storage import Storage, read_storage, write_storage
 
 PERIOD, MASS, GRAVITY = 1.1, 70.0, 9.80665
 #: Left heel strikes; the right foot's are half a period later.
@@ -206,6 +206,35 @@ def write_laboratory(folder):
     settings = folder / "prepare.toml"
     settings.write_text(SETTINGS, encoding="utf-8")
     return settings
+
+
+def write_laboratory_with_angles(folder):
+    """Write the same with the true angles in place of markers, and return the settings file."""
+    settings = write_laboratory(folder)
+    time = simulated_positions()[0]
+    angles = motion(time)
+    write_storage(
+        folder / "angles.sto", Storage("angles", tuple(angles), time, np.array(list(angles.values())).T)
+    )
+    replace_text(settings, ('markers = "walk.trc"', 'angles = "angles.sto"'))
+    return settings
+
+
+def change_table(settings, name, change):
+    """Change time and columns (by name) of a table beside the settings."""
+    file = settings.parent / name
+    table = read_storage(file)
+    time, columns = change(table.time, dict(zip(table.columns, table.values.T, strict=True)))
+    write_storage(file, Storage(table.name, tuple(columns), time, np.array(list(columns.values())).T))
+
+
+def replace_text(settings, *pairs):
+    """Replace parts of the settings, which they must have."""
+    text = settings.read_text()
+    for old, new in pairs:
+        assert old in text
+        text = text.replace(old, new)
+    settings.write_text(text)
 
 
 SETTINGS = f"""[subject]

@@ -208,8 +208,16 @@ class TableReader:
         error messages.
         """
         value = self.text(key, required=required)
-        if value is None:
-            return None
+        return None if value is None else self._inside(key, value, folder)
+
+    def paths(self, key: str, folder: Path) -> tuple[Path, ...]:
+        """Read a list of paths inside a folder, see `path`; empty if the key is missing."""
+        values = self.names(key, required=False) or ()
+        found = [self._inside(key, value, folder) for value in values]
+        return tuple(path for path in found if path is not None)
+
+    def _inside(self, key: str, value: str, folder: Path) -> Path | None:
+        """Return the path inside the folder; report one that leads out of it."""
         windows = PureWindowsPath(value)
         parts = {*PurePosixPath(value).parts, *windows.parts}
         if PurePosixPath(value).is_absolute() or windows.drive or windows.root or ".." in parts:

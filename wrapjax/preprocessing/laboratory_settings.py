@@ -142,6 +142,8 @@ class LaboratorySettings:
         Volts at the electrode per unit of the raw EMG file: unit over gain.
     accepted
         Channels that are used despite faults.
+    maximal_contractions
+        Recordings of maximal voluntary contractions, which normalise raw EMG; empty if not given.
     trials
         Trials, in the order of the file.
     """
@@ -168,6 +170,7 @@ class LaboratorySettings:
     emg_kind: str
     volts: float
     accepted: tuple[str, ...]
+    maximal_contractions: tuple[Path, ...]
     trials: tuple[LaboratoryTrial, ...]
 
 
@@ -225,6 +228,12 @@ def read_laboratory_settings(file: Path) -> LaboratorySettings:
         emg.add_problem(
             "", "expected no unit and no gain of envelopes, which are normalised to about 1, found one"
         )
+    contractions = tuple(
+        _file_beside(emg, "maximal_contractions", name)
+        for name in emg.names("maximal_contractions", required=False) or ()
+    )
+    if contractions and kind == "envelope":
+        emg.add_problem("maximal_contractions", "expected none of envelopes, which are normalised already")
     accepted = emg.names("accept", required=False)
     channels = read_channels(emg.table("channels"), file, problems)
     emg.report_unknown_keys()
@@ -260,6 +269,7 @@ def read_laboratory_settings(file: Path) -> LaboratorySettings:
         emg_kind=kind,
         volts=1.0 if unit is None else VOLTS_PER_UNIT[unit] / (gain or 1.0),
         accepted=accepted or (),
+        maximal_contractions=tuple(path for path in contractions if path is not None),
         trials=tuple(trial for trial in trials if trial is not None),
     )
 
@@ -267,8 +277,11 @@ def read_laboratory_settings(file: Path) -> LaboratorySettings:
 def existing_file(reader: TableReader, key: str, *, required: bool = True) -> Path | None:
     """Read the path of a file, which may be outside the folder of the settings, and check that it exists."""
     value = reader.text(key, required=required)
-    if value is None:
-        return None
+    return None if value is None else _file_beside(reader, key, value)
+
+
+def _file_beside(reader: TableReader, key: str, value: str) -> Path | None:
+    """Return the path of a file, relative to the settings; report one that does not exist."""
     path = reader.file.parent / value
     try:
         exists = path.is_file()

@@ -12,6 +12,7 @@ from pathlib import Path
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.files import new_folder, write_json, write_text
 from wrapjax.io.model_file import read_model_file
+from wrapjax.io.storage import Storage
 from wrapjax.io.toml import collect_problems
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.tools import marker_names, scale_masses, scale_model
@@ -20,8 +21,8 @@ from wrapjax.preprocessing.joint_angles import find_coupled_coordinates
 from wrapjax.preprocessing.laboratory_settings import LaboratorySettings, read_laboratory_settings
 from wrapjax.preprocessing.nmsm_muscle_analysis import compare_muscle_analyses
 from wrapjax.preprocessing.nmsm_project import Project, read_project, write_project_as_subject
-from wrapjax.preprocessing.prepared_folder import PreparedTrial, write_subject_folder
-from wrapjax.preprocessing.recorded_files import PreparationModel
+from wrapjax.preprocessing.prepared_folder import RAW_TITLE, PreparedTrial, write_subject_folder
+from wrapjax.preprocessing.recorded_files import PreparationModel, read_emg
 from wrapjax.preprocessing.trial_preparation import prepare_trial
 from wrapjax.renamed import renamed_arguments
 from wrapjax.subject.description import Table
@@ -47,12 +48,15 @@ class Preparation:
         Prepared trials, in the order of the settings.
     notes
         Remarks on the model.
+    contractions
+        Raw EMG of maximal contractions, V.
     """
 
     settings: LaboratorySettings
     model: bytes
     trials: tuple[PreparedTrial, ...]
     notes: tuple[str, ...] = ()
+    contractions: tuple[Storage, ...] = ()
 
     def save(self, folder: Path | str, *, force: bool = False) -> None:
         """Write the subject folder atomically, provided that `load_subject` can read it.
@@ -74,7 +78,7 @@ class Preparation:
             with tempfile.TemporaryDirectory(prefix="wrapjax-") as beside:
                 file = Path(beside) / "model.osim"
                 file.write_bytes(self.model)
-                write_subject_folder(temporary, self.settings, file, self.trials)
+                write_subject_folder(temporary, self.settings, file, self.trials, self.contractions)
             write_json(temporary / "preparation.json", self.summary())
             _write_page(temporary, self.tables(), "markers, forces and raw EMG", self.trials)
 
@@ -227,13 +231,18 @@ def prepare_subject(
             )
         model = _read_model(path, settings)
         problems: list[Problem] = []
+        contractions = []
+        for file in settings.maximal_contractions:
+            with collect_problems(problems):
+                time, volts = read_emg(file, settings)
+                contractions.append(Storage(RAW_TITLE, tuple(settings.channels), time, volts.T))
         trials = []
         for trial in settings.trials:
             with collect_problems(problems):
                 trials.append(prepare_trial(trial, settings, model, log))
         if problems:
             raise InputError(dict.fromkeys(problems))
-        return Preparation(settings, path.read_bytes(), tuple(trials), on_model)
+        return Preparation(settings, path.read_bytes(), tuple(trials), on_model, tuple(contractions))
 
 
 def _read_model(path: Path, settings: LaboratorySettings) -> PreparationModel:

@@ -27,6 +27,10 @@ MODEL_FILE = "model.osim"
 PARAMETERS_FILE = "muscle_parameters.csv"
 #: Copy of the laboratory settings; its paths are relative to the folder of the original file.
 PREPARED_FROM = "prepared_from.toml"
+#: Title of tables of raw EMG.
+RAW_TITLE = "raw EMG in V"
+#: Folder of recordings of maximal contractions.
+CONTRACTIONS = "maximal_contractions"
 
 
 @dataclass(frozen=True)
@@ -74,9 +78,13 @@ class PreparedTrial:
 
 
 def write_subject_folder(
-    folder: Path, settings: LaboratorySettings, model_file: Path, trials: Sequence[PreparedTrial]
+    folder: Path,
+    settings: LaboratorySettings,
+    model_file: Path,
+    trials: Sequence[PreparedTrial],
+    contractions: Sequence[Storage],
 ) -> None:
-    """Write settings, laboratory settings, model and trials into an empty folder."""
+    """Write settings, laboratory settings, model, trials and maximal contractions into an empty folder."""
     shutil.copyfile(model_file, folder / MODEL_FILE)
     if settings.muscle_parameters is not None:
         shutil.copyfile(settings.muscle_parameters, folder / PARAMETERS_FILE)
@@ -84,7 +92,10 @@ def write_subject_folder(
         shutil.copyfile(settings.joints, folder / JOINTS_FILE)
     for prepared in trials:
         _write_trial(folder / "trials" / prepared.trial.name, settings, prepared)
-    write_text(folder / SETTINGS_FILE, _settings_text(settings, trials))
+    for number, contraction in enumerate(contractions, start=1):
+        (folder / CONTRACTIONS).mkdir(exist_ok=True)
+        write_storage(folder / _contraction(number), contraction)
+    write_text(folder / SETTINGS_FILE, _settings_text(settings, trials, len(contractions)))
     write_text(folder / PREPARED_FROM, settings.text)
 
 
@@ -102,14 +113,19 @@ def _write_trial(folder: Path, settings: LaboratorySettings, prepared: PreparedT
     )
     write_storage(folder / "moments.sto", moments)
     if prepared.emg_time is not None and prepared.volts is not None:
-        title = "raw EMG in V" if settings.emg_kind == "raw" else "EMG envelopes"
+        title = RAW_TITLE if settings.emg_kind == "raw" else "EMG envelopes"
         volts = Storage(title, tuple(settings.channels), prepared.emg_time, prepared.volts.T)
         write_storage(folder / "emg.sto", volts)
     if prepared.forces is not None:
         write_forces(folder, prepared.forces, settings.feet)
 
 
-def _settings_text(settings: LaboratorySettings, trials: Sequence[PreparedTrial]) -> str:
+def _contraction(number: int) -> str:
+    return f"{CONTRACTIONS}/{number:02d}.sto"
+
+
+def _settings_text(settings: LaboratorySettings, trials: Sequence[PreparedTrial], contractions: int) -> str:
+    normalising = [_contraction(number) for number in range(1, contractions + 1)]
     lines = [
         f"# Written by 'wrapjax prepare' from {PREPARED_FROM}; the checks are in preparation.json.",
         "[subject]",
@@ -126,6 +142,7 @@ def _settings_text(settings: LaboratorySettings, trials: Sequence[PreparedTrial]
         "",
         "[emg]",
         f'kind = "{settings.emg_kind}"',
+        *([f"maximal_contractions = {toml_list(normalising)}"] if normalising else []),
         "[emg.channels]",
         *(f"{toml_string(channel)} = {toml_list(muscles)}" for channel, muscles in settings.channels.items()),
     ]

@@ -89,7 +89,7 @@ def read_files(
         With all faults of a file.
     """
     forces = None if trial.forces is None else _read_forces(trial.forces, settings)
-    emg_time, volts = (None, None) if trial.emg is None else _read_emg(trial.emg, settings)
+    emg_time, volts = (None, None) if trial.emg is None else read_emg(trial.emg, settings)
     notes: list[str] = []
     recorded = _read_recorded_motion(trial, settings, model, notes)
     return RecordedFiles(recorded, forces, emg_time, volts, tuple(notes))
@@ -130,10 +130,28 @@ def _read_recorded_motion(
     return markers.select(names)
 
 
-def _read_emg(
+def read_emg(
     path: Path, settings: LaboratorySettings
 ) -> tuple[Float[np.ndarray, " sample"], Float[np.ndarray, "channel sample"]]:
-    """Read raw EMG at the electrode (V) or envelopes, and raise an error for faulty channels."""
+    """Read raw EMG at the electrode (V) or envelopes, and raise an error for faulty channels.
+
+    Parameters
+    ----------
+    path
+        Table, or C3D file with the channels.
+    settings
+        Laboratory settings, with channels and unit.
+
+    Returns
+    -------
+    time, emg
+        Times, s, evenly spaced, and the channels in the order of the settings.
+
+    Raises
+    ------
+    InputError
+        With all faults of the file.
+    """
     table: Storage = read_c3d_analog(path) if is_c3d(path) else read_storage(path, trust_row_count=False)
     missing = [name for name in settings.channels if name not in table.columns]
     problems = [

@@ -17,6 +17,7 @@ from wrapjax.subject.emg_envelopes import (
     normalise,
     resample_evenly,
 )
+from wrapjax.subject.maximal_contractions import notes_on_maxima
 from wrapjax.subject.recordings import Signals
 from wrapjax.subject.settings import Settings
 from wrapjax.subject.trials import FRAMES, GAIT, TIME_TOLERANCE, Trials
@@ -30,7 +31,11 @@ PADDING_STEP = 10
 
 
 def cut_cycles(
-    settings: Settings, signals: list[Signals], problems: list[Problem], notes: list[str]
+    settings: Settings,
+    signals: list[Signals],
+    problems: list[Problem],
+    notes: list[str],
+    maxima: Float[np.ndarray, " channel"] | None = None,
 ) -> Trials:
     """Cut all recordings into cycles or windows, and normalise raw EMG over all of them.
 
@@ -45,6 +50,9 @@ def cut_cycles(
     notes
         List to which held edge values, clipped samples, channels without a signal, overlapping cycles and
         assumed coordinates are added.
+    maxima
+        Envelope of each channel in a maximal contraction, which becomes 1; if not given, the largest one
+        over all recordings does.
 
     Returns
     -------
@@ -89,7 +97,7 @@ def cut_cycles(
         angular_velocities=np.concatenate(velocities),
         moments=np.concatenate(moments),
         emg_time=np.concatenate(emg_time),
-        emg=_normalise_raw(np.concatenate(emg), settings, problems, notes),
+        emg=_normalise_raw(np.concatenate(emg), settings, maxima, problems, notes),
         tasks=tuple(trial.task for trial in each),
         conditions=tuple(trial.condition for trial in each),
         given_samples=None if np.isnan(samples).all() else samples,
@@ -224,6 +232,7 @@ def _cut_emg(
 def _normalise_raw(
     emg: Float[np.ndarray, "trial channel padded_frame"],
     settings: Settings,
+    maxima: Float[np.ndarray, " channel"] | None,
     problems: list[Problem],
     notes: list[str],
 ) -> Float[np.ndarray, "trial channel padded_frame"]:
@@ -240,7 +249,9 @@ def _normalise_raw(
         for channel in silent:
             files = ", ".join(dict.fromkeys(str(trial.emg) for trial in settings.trials if trial.emg))
             problems.append(Problem(files, "expected EMG, found none in any cycle", f"column {channel}"))
-        recorded = recorded if silent else normalise(recorded)
+        if maxima is not None and not silent:
+            notes.extend(notes_on_maxima(tuple(settings.channels), peaks, maxima))
+        recorded = recorded if silent else normalise(recorded, maxima)
     if not at_rest.any():
         return recorded
     complete = np.empty_like(emg)

@@ -95,6 +95,11 @@ def envelopes_below(
     return np.maximum(sosfiltfilt(low_pass, rectified, axis=1), 0.0)
 
 
-def normalise(emg: Float[np.ndarray, "trial channel frame"]) -> Float[np.ndarray, "trial channel frame"]:
-    """Divide each channel by its maximum over all trials and frames, which must be positive."""
-    return emg / emg.max(axis=(0, 2))[None, :, None]
+def normalise(
+    emg: Float[np.ndarray, "trial channel frame"], maxima: Float[np.ndarray, " channel"] | None = None
+) -> Float[np.ndarray, "trial channel frame"]:
+    """Divide each channel by an envelope, by its maximum over all trials and frames if none is given.
+
+    The divisors must be positive.
+    """
+    return emg / (emg.max(axis=(0, 2)) if maxima is None else maxima)[None, :, None]

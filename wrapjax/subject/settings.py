@@ -68,6 +68,8 @@ class Settings:
         Muscles that each EMG channel drives, by channel.
     extrapolated
         Muscles without a channel that share an excitation, by name of the group; None if not given.
+    maximal_contractions
+        Raw EMG of maximal voluntary contractions, which normalises that of the trials; empty if not given.
     trials
         Trials, in the order of the file.
     passive
@@ -90,6 +92,7 @@ class Settings:
     extrapolated: dict[str, tuple[str, ...]] | None
     trials: tuple[TrialSettings, ...]
     passive: tuple[PassiveSettings, ...] = ()
+    maximal_contractions: tuple[Path, ...] = ()
     file: Path = Path(SETTINGS_FILE)
 
 
@@ -126,6 +129,9 @@ def read_settings(folder: Path, problems: list[Problem]) -> Settings:
     emg_kind = emg.text("kind", choices=("envelope", "raw")) or ""
     channels = read_channels(emg.table("channels"), file, problems)
     extrapolated = read_extrapolated(emg.raw("extrapolated"), channels, file, problems)
+    contractions = emg.paths("maximal_contractions", folder)
+    if contractions and emg_kind == "envelope":
+        emg.add_problem("maximal_contractions", "expected none of envelopes, which are normalised already")
     emg.report_unknown_keys()
 
     tables = top.tables("trial")
@@ -150,6 +156,7 @@ def read_settings(folder: Path, problems: list[Problem]) -> Settings:
         extrapolated=extrapolated,
         trials=tuple(trial for trial in trials if trial is not None),
         passive=passive,
+        maximal_contractions=contractions,
         file=file,
     )
 

@@ -16,6 +16,7 @@ from wrapjax.io.toml import collect_problems
 from wrapjax.subject.cycles import cut_cycles, noise_floor
 from wrapjax.subject.emg_envelopes import sampling_rate
 from wrapjax.subject.joint_spread import JointSpread, read_joint_spread
+from wrapjax.subject.maximal_contractions import read_maxima
 from wrapjax.subject.muscle_groups import activation_groups, fiber_length_groups
 from wrapjax.subject.muscle_parameters import (
     check_channels,
@@ -127,7 +128,7 @@ def load_subject(path: str | Path) -> Subject:
 
     Angles, moments and EMG of all trials are read, checked, and cut into gait cycles of 101 frames, or into
     windows of 1 s for other tasks. Raw EMG is filtered to envelopes and normalised to the maximum of each
-    channel over all of them.
+    channel over all of them, or in maximal contractions where these are given.
 
     Parameters
     ----------
@@ -193,8 +194,9 @@ def load_from_settings(settings: Settings, folder: Path, known: Sequence[Problem
     signals = [read_signals(trial, settings, infos, read, problems, notes) for trial in settings.trials]
     read_all = [entry for entry in signals if entry is not None]
     passive = [read_passive_trial(trial, settings, infos, read, problems) for trial in settings.passive]
+    maxima = read_maxima(tuple(settings.channels), settings.maximal_contractions, read, problems)
     if not problems:
-        trials = cut_cycles(settings, read_all, problems, notes)
+        trials = cut_cycles(settings, read_all, problems, notes, maxima)
     if problems:
         # Each trial that uses a faulty file reports the same problem.
         raise InputError(dict.fromkeys(problems))
