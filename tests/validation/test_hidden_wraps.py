@@ -2,12 +2,14 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from validation.blind import gait
 from validation.blind.anatomy import COORDINATES, Cylinder, reference_leg
+from validation.blind.dynamometer import ISOMETRIC, PASSIVE, RESISTANCE, perform
 from validation.blind.hidden_wraps import (
     MOST,
     PLACE,
@@ -19,19 +21,25 @@ from validation.blind.hidden_wraps import (
     write_hidden,
 )
 from validation.blind.hidden_wraps import hidden_wraps as simulate
+from validation.blind.muscles import muscle_forces
 from validation.blind.opensim_leg import muscle_paths
 from validation.blind.worlds import GaitSettings, WorldSettings
 from validation.calibration import hidden_wraps
 from validation.calibration.hidden_wraps import (
+    MOMENT_NOISE,
     Question,
     arm_errors,
+    bound_of_distance,
     decrease,
+    distance_to_truth,
     evaluate_all,
     identifiable_and_touched,
     lines,
     summary,
     with_prior,
 )
+from wrapjax.calibration.objective import MOMENT_ERROR
+from wrapjax.calibration.sample_weights import samples_by_recording
 from wrapjax.path_sources.exact import freed_wraps
 from wrapjax.subject.subject import load_subject
 
@@ -183,13 +191,21 @@ def result_with(ratio):
         "NGA": {"calibration": 6.0, "validation": 8.0},
         "PGA": {"calibration": 5.4, "validation": 8.0},
     }
-    return {"told": judged, "touched": judged, "moments_Nm": moments, "converged": {"PGA": True}}
+    distance = {"before": 0.8, "after": 0.8 * ratio, "ratio": ratio, "bound": 0.4}
+    return {
+        "told": judged,
+        "touched": judged,
+        "moments_Nm": moments,
+        "converged": {"PGA": True},
+        "distance": distance,
+    }
 
 
 def test_summary_counts_decreases_and_moment_errors():
     text = lines(summary([result_with(0.5), result_with(1.5), result_with(0.7)]))
     assert text[0].startswith("identifiable arms: errors decrease in 2 of 3, median ratio 0.70")
-    assert text[2] == "calibration cycles: NGA 6.00, PGA 5.40 N m (-10.0 %)"
+    assert "decreases in 2 of 3, median ratio 0.70; bound 0.50; 1.40 times the bound" in text[2]
+    assert text[3] == "calibration cycles: NGA 6.00, PGA 5.40 N m (-10.0 %)"
 
 
 def test_stored_results_are_reused(monkeypatch, tmp_path, capsys):
@@ -208,3 +224,96 @@ def test_stored_results_are_reused(monkeypatch, tmp_path, capsys):
     evaluate_all([Question(1, 0.1, prior=0.005)], tmp_path)
     assert asked == [people[0].result, people[1].result, Question(1, 0.1, prior=0.005).result]
     assert "1/2 seed 0: identifiable 2 arms 2.00 -> 1.00 mm (0.50)" in capsys.readouterr().err
+
+
+def wraps_of_two():
+    return freed_wraps([["first"], ["second"]], {"first": 0.03, "second": 0.02})
+
+
+def test_distance_is_in_standard_deviations_of_displacements():
+    wraps = wraps_of_two()
+    nominal = [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    moved = [PLACE, 0.0, -PLACE, TURN, 0.0, 1.0 + RADIUS]
+    truth = {"first": moved, "second": nominal}
+    none, all_found = np.zeros((2, 6)), np.array([np.array(moved) - nominal, np.zeros(6)])
+    assert distance_to_truth(wraps, truth, none)["ratio"] == 1.0
+    found = distance_to_truth(wraps, truth, all_found)
+    assert found["before"] == pytest.approx(np.sqrt(4 / 12)) and found["after"] < 1e-12
+
+
+class Problem:
+    """What the bound needs of an objective: parameters of two wraps, and the derivatives of the moments."""
+
+    def __init__(self, wraps, rows):
+        self.rows = rows
+        index = np.full((2, 6), 12)
+        numbers = np.arange(12).reshape(2, 6)
+        index[wraps.free] = numbers[wraps.free]
+        self.variables = SimpleNamespace(
+            upper=np.ones(12), lower=-np.ones(12), prior_precision=np.ones(12), index=index, modes=6, count=12
+        )
+
+    def moment_jacobian(self, variables):
+        return self.rows
+
+
+@pytest.mark.parametrize("informative", [False, True])
+def test_bound_is_the_prior_without_information_and_small_with_much(hidden, folder, informative):
+    subject, wraps = load_subject(folder / "subject"), wraps_of_two()
+    rows = (1e6 if informative else 0.0) * np.eye(12)
+    bound = bound_of_distance(Problem(wraps, rows), np.zeros(12), subject, wraps)
+    held = (~wraps.free).mean()
+    assert bound == pytest.approx(np.sqrt(held) if informative else 1.0, abs=1e-3)
+
+
+def test_the_bound_of_one_number_is_that_of_a_normal_posterior(folder):
+    """Prior and data add their precisions: moments change by 3 N m for one displacement."""
+    subject, wraps = load_subject(folder / "subject"), wraps_of_two()
+    samples = sum(samples_by_recording(subject.trials.used_for("calibration")).values())
+    per_unit = MOMENT_NOISE / MOMENT_ERROR / np.sqrt(samples) * wraps.scale[0, 0] / PLACE
+    rows = np.zeros((1, 12))
+    rows[0, 0] = per_unit
+    bound = bound_of_distance(Problem(wraps, rows), np.zeros(12), subject, wraps)
+    assert bound == pytest.approx(np.sqrt((11 + 0.5) / 12))
+
+
+@pytest.fixture(scope="module")
+def with_tasks(hidden, tmp_path_factory):
+    place = tmp_path_factory.mktemp("people") / "two"
+    write_hidden(hidden, 3, 0.1, place, tasks=True)
+    return place
+
+
+def test_trials_of_a_dynamometer_leave_the_walk_as_it_was(folder, with_tasks):
+    for file in (folder / "subject" / "trials").rglob("*.*"):
+        assert (with_tasks / file.relative_to(folder)).read_bytes() == file.read_bytes()
+    trials = load_subject(with_tasks / "subject").trials
+    walked = load_subject(folder / "subject").trials
+    np.testing.assert_array_equal(trials.moments[trials.is_gait], walked.moments)
+    assert set(trials.tasks) == {"gait", "passive", "isometric"}
+    of_device = np.isfinite(trials.moments[~trials.is_gait]).any(axis=-1)
+    assert (of_device.sum(axis=1) <= 1).all()
+
+
+def test_rotations_end_where_the_joint_resists(hidden):
+    for trial in PASSIVE:
+        done = perform(hidden.world, trial)
+        assert np.abs(done.moment).max() < RESISTANCE + 1.0
+        assert done.envelopes.max() == 0.0 and done.pose.shape == (12, done.time.size)
+
+
+@pytest.mark.parametrize("trial", ISOMETRIC[::5], ids=lambda one: one.name)
+def test_a_ramp_pushes_its_way_and_the_moment_is_that_of_opensim_s_paths(hidden, trial):
+    world = hidden.world
+    done = perform(world, trial)
+    middle = done.time.size // 2
+    effort = done.moment[middle + 60] - done.moment[0]
+    assert effort * trial.sign > 5.0
+    assert done.envelopes[:, middle].max() <= 1.5 and done.envelopes[:, middle].min() >= 0.02 - 1e-12
+    row = COORDINATES.index(trial.coordinate)
+    length, arms = muscle_paths(world.leg, done.pose[6:, :1])
+    at_rest = muscle_forces(
+        world.curves, world.muscles, np.zeros((1, len(length), 1)), length[None], 0.0 * length[None], 0.002
+    )
+    first = float((arms[:, row, 0] * at_rest[0, :, 0]).sum())
+    assert done.moment[0] == pytest.approx(first, abs=15.0)

@@ -70,12 +70,12 @@ def write_folder(
     for index in range(len(speeds)):
         place = folder / "trials" / f"walk_{index + 1}"
         place.mkdir(parents=True)
-        _storage(place / "angles.sto", "coordinates", ALL_COORDINATES, angles[index], True)
-        _storage(
+        write_table(place / "angles.sto", "coordinates", ALL_COORDINATES, angles[index], True)
+        write_table(
             place / "moments.sto", "moments", [f"{c}_moment" for c in COORDINATES], recorded["moments"][index]
         )
-        _storage(place / "emg.sto", "envelopes", tuple(channels), recorded["emg"][index][chosen])
-        _storage(place / "ground_forces.mot", "ground", _GROUND, recorded["ground"][index])
+        write_table(place / "emg.sto", "envelopes", tuple(channels), recorded["emg"][index][chosen])
+        write_table(place / "ground_forces.mot", "ground", _GROUND, recorded["ground"][index])
         _text(place / "external_loads.xml", _LOADS, "<!--", "-->")
     for path in sorted(folder.rglob("*"), reverse=True):
         os.utime(path, (_STAMP, _STAMP))
@@ -91,9 +91,10 @@ def _text(path: Path, text: str, opening: str, closing: str) -> None:
     path.write_text(text + opening + " " * room + closing + "\n", encoding="utf-8", newline="\n")
 
 
-def _storage(
+def write_table(
     path: Path, name: str, columns: Sequence[str], values: np.ndarray, degrees: bool = False
 ) -> None:
+    """Write an OpenSim storage file of values (row, frame) on the fine time base."""
     rows = values[:, ::FILE_STEP].T
     time = np.arange(rows.shape[0]) / FILE_RATE
     lines = [name, "version=1", f"nRows={rows.shape[0]}", f"nColumns={len(columns) + 1}"]

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from validation.blind.anatomy import COORDINATES, Cylinder, Leg
+from validation.blind.dynamometer import ISOMETRIC, PASSIVE, add_trials
 from validation.blind.folder import write_folder
 from validation.blind.geometry import changed_paths
 from validation.blind.noise import moment_noise, noisy_envelopes
@@ -176,7 +177,9 @@ def at_frames(world: World, values: np.ndarray) -> np.ndarray:
     return np.stack(out)
 
 
-def write_hidden(hidden: HiddenWraps, seed: int, emg_noise: float, folder: Path) -> None:
+def write_hidden(
+    hidden: HiddenWraps, seed: int, emg_noise: float, folder: Path, *, tasks: bool = False
+) -> None:
     """Write the subject folder ``subject/`` and the true values in one atomic step.
 
     Moments have the noise of the bank. ``truth.npz`` has moment arms (cycle, muscle, coordinate, frame) in m:
@@ -193,6 +196,8 @@ def write_hidden(hidden: HiddenWraps, seed: int, emg_noise: float, folder: Path)
         Noise as a share of the envelopes.
     folder
         Folder to write.
+    tasks
+        Whether the person also does passive rotations and isometric ramps; the walk stays the same.
     """
     who, world = hidden.who, hidden.world
     rng = np.random.default_rng((_SEED, 2, seed))
@@ -206,6 +211,9 @@ def write_hidden(hidden: HiddenWraps, seed: int, emg_noise: float, folder: Path)
     work = folder.with_name(f"{folder.name}.part")
     shutil.rmtree(work, ignore_errors=True)
     write_folder(work / "subject", who.nominal, who.paretic, world.walk.speeds, cycles(world), recorded)
+    if tasks:
+        own = np.random.default_rng((_SEED, 3, seed))
+        add_trials(work / "subject", world, (*PASSIVE, *ISOMETRIC), emg_noise, own)
     np.savez(
         work / "truth.npz",
         arms=at_frames(world, world.paths.arms),

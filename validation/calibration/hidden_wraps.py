@@ -13,6 +13,13 @@ deviation below a tenth of the error of the nominal arm: the rule of the test wi
 mean squares over arms, cycles and frames. A person without such an arm counts as one whose error did not
 decrease.
 
+With ``--tasks`` each person also does four passive rotations and isometric ramps at three angles of hip, knee
+and ankle in both directions (`validation.blind.dynamometer`), and is calibrated to all of it. Moment arms are
+compared over the gait cycles in either case. The distance of the cylinders from the true ones, before and
+after, is the root mean square of their parameters in standard deviations of the displacements; its bound
+is the one that the Fisher information of the moments (with `MOMENT_NOISE` in each effective sample) and the
+priors of all free parameters leave at the true cylinders, by van Trees' inequality.
+
 Persons and results are stored in ``--place`` and reused. Use another folder for another version of the
 package.
 """
@@ -37,12 +44,15 @@ from wrapjax.jax_setup import clear_caches_near_map_limit, set_up_jax
 
 if TYPE_CHECKING:
     from wrapjax.calibration.calibration import Calibration
+    from wrapjax.calibration.objective import Objective
     from wrapjax.model.freedom import FreedWraps
     from wrapjax.path_sources.exact import ExactGeometry
     from wrapjax.subject.subject import Subject
 
 #: Moment noise, N m, for which arms count as identifiable.
 NOISE = 0.003
+#: Noise of the moments in each effective sample, N m, for the bound of the distance of cylinders.
+MOMENT_NOISE = 3.0
 #: Families of curves and activation dynamics of the simulator.
 CURVES = ("millard", "thelen", "spline")
 #: Keys of results for identifiable and for all touched arms, with their descriptions.
@@ -66,6 +76,8 @@ class Question:
         Starts of each calibration.
     prior
         Prior standard deviation of cylinder translations, m along each axis; None: that of the package.
+    tasks
+        Whether the person also does trials of a dynamometer.
     """
 
     seed: int
@@ -73,11 +85,12 @@ class Question:
     curves: str = CURVES[0]
     starts: int = 1
     prior: float | None = None
+    tasks: bool = False
 
     @property
     def person(self) -> str:
         """Name of the person's folder."""
-        return f"{self.curves}_{self.emg_noise:g}_{self.seed:03d}"
+        return f"{self.curves}_{self.emg_noise:g}_{self.seed:03d}{'_tasks' if self.tasks else ''}"
 
     @property
     def result(self) -> str:
@@ -93,7 +106,8 @@ def main() -> int:
     set_up_jax()
     seeds = range(options.seed, options.seed + options.subjects)
     asked = [
-        Question(seed, options.emg_noise, options.curves, options.starts, options.prior) for seed in seeds
+        Question(seed, options.emg_noise, options.curves, options.starts, options.prior, options.tasks)
+        for seed in seeds
     ]
     with tempfile.TemporaryDirectory() as spare:
         found = evaluate_all(asked, options.place or Path(spare))
@@ -142,7 +156,9 @@ def evaluate(asked: Question, place: Path) -> dict[str, Any]:
 
     folder = place / asked.person
     if not folder.exists():
-        write_hidden(hidden_wraps(asked.seed, asked.curves), asked.seed, asked.emg_noise, folder)
+        write_hidden(
+            hidden_wraps(asked.seed, asked.curves), asked.seed, asked.emg_noise, folder, tasks=asked.tasks
+        )
     subject = wrapjax.load_subject(folder / "subject")
     geometry = wrapjax.exact_geometry(subject)
     before = wrapjax.calibrate(subject, "NGA", geometry, starts=asked.starts)
@@ -170,10 +186,11 @@ def with_prior(wraps: FreedWraps | None, distance: float) -> FreedWraps:
 
 
 def moment_errors(done: Calibration) -> dict[str, float]:
-    """Mean absolute moment error (N m) over coordinates and frames, by what cycles are used for."""
+    """Mean absolute moment error (N m) over coordinates and frames of gait, by what cycles are used for."""
     result = done.result
-    error = np.abs(result.measured - result.modelled).mean(axis=(1, 2))
-    uses = np.array(result.uses)
+    gait = done.subject.trials.is_gait
+    error = np.abs(result.measured - result.modelled)[gait].mean(axis=(1, 2))
+    uses = np.array(result.uses)[gait]
     return {use: float(error[uses == use].mean()) for use in _USES}
 
 
@@ -185,6 +202,7 @@ def compare_with_truth(
 
     from wrapjax.calibration.problem import build_objective
     from wrapjax.calibration.uncertainty.identifiability import moment_arm_deviation
+    from wrapjax.subject.gait_alone import with_gait_alone
 
     result = done.result
     wraps, moving = result.freedom.wraps, result.freedom.moving_paths
@@ -197,12 +215,18 @@ def compare_with_truth(
         true, undisplaced = (
             np.swapaxes(truth[name][:, rows][:, :, places], 0, 1) for name in ("arms", "undisplaced")
         )
-    nominal, found = (np.asarray(states.path.moment_arm) for states in (result.initial_states, result.states))
+    gait = subject.trials.is_gait
+    nominal, found = (
+        np.asarray(states.path.moment_arm)[:, gait] for states in (result.initial_states, result.states)
+    )
     true_wraps = json.loads((folder / "truth.json").read_text(encoding="utf-8"))["wraps"]
     problem = build_objective(subject, "PGA", geometry, result.freedom)
     changes = jnp.asarray(true_changes(wraps, true_wraps))
     tree = replace(problem.variables.base, path_changes=changes)
-    deviation = moment_arm_deviation(problem, np.asarray(problem.start(tree)), NOISE).mean(axis=(1, 3))
+    at_truth = np.asarray(problem.start(tree))
+    gait_alone = with_gait_alone(subject, "the identifiability of arms")
+    walking = build_objective(gait_alone, "PGA", geometry, result.freedom)
+    deviation = moment_arm_deviation(walking, np.asarray(walking.start(tree)), NOISE).mean(axis=(1, 3))
     touched, identifiable_arms = identifiable_and_touched(true, undisplaced, nominal, deviation, moving)
     names_of = [(muscle, coordinate) for muscle in result.muscles for coordinate in result.coordinates]
     return {
@@ -216,6 +240,8 @@ def compare_with_truth(
             }
             for at in np.flatnonzero(touched)
         },
+        "distance": distance_to_truth(wraps, true_wraps, np.asarray(result.parameters.path_changes))
+        | {"bound": bound_of_distance(problem, at_truth, subject, wraps)},
         "wraps": {
             name: {"true": true_wraps[name], "found_change": change.tolist(), "largest_change": most.tolist()}
             for name, change, most in zip(
@@ -226,6 +252,63 @@ def compare_with_truth(
             )
         },
     }
+
+
+def _displacements() -> np.ndarray:
+    """Return the standard deviations of displacements, in the order of a cylinder's parameters."""
+    from validation.blind.hidden_wraps import PLACE, RADIUS, TURN
+
+    return np.array([PLACE, PLACE, PLACE, TURN, TURN, RADIUS])
+
+
+def distance_to_truth(
+    wraps: FreedWraps, true_wraps: Mapping[str, Sequence[float]], found: np.ndarray
+) -> dict[str, float]:
+    """Compute the distance of the cylinders from the true ones, in standard deviations of displacements."""
+    from wrapjax.geometry.wrapping import NOMINAL
+
+    true = np.stack([np.array(true_wraps[name]) - NOMINAL for name in wraps.names]) / _displacements()
+    after = wraps.changes_of(found) / _displacements()
+    distances = [float(np.sqrt(np.mean(one**2))) for one in (true, after - true)]
+    return {"before": distances[0], "after": distances[1], "ratio": distances[1] / distances[0]}
+
+
+def bound_of_distance(
+    problem: Objective, variables: np.ndarray, subject: Subject, wraps: FreedWraps
+) -> float:
+    """Compute the least root mean square distance of the cylinders, in standard deviations of displacements.
+
+    Parameters
+    ----------
+    problem, variables
+        Calibration with free cylinders, and its variables at the true cylinders.
+    subject
+        Subject, whose calibration trials count by their effective samples.
+    wraps
+        Free cylinders; a parameter that is held stays as far away as it is.
+    """
+    import equinox as eqx
+    import jax.numpy as jnp
+
+    from wrapjax.calibration.objective import MOMENT_ERROR
+    from wrapjax.calibration.sample_weights import samples_by_recording
+
+    layout = problem.variables
+    rows = np.asarray(eqx.filter_jit(problem.moment_jacobian)(jnp.asarray(variables)))
+    samples = sum(samples_by_recording(subject.trials.used_for("calibration")).values())
+    # Rows are in allowable errors, weighted by the samples that they stand for: their squares are a mean.
+    information = samples * (MOMENT_ERROR / MOMENT_NOISE) ** 2 * rows.T @ rows
+    width = np.asarray(layout.upper) - np.asarray(layout.lower)
+    precision = np.where(layout.prior_precision > 0.0, layout.prior_precision, 1.0 / width)
+    by_place = np.asarray(layout.index)[:, -layout.modes :].reshape(*wraps.places.shape, -1)
+    numbers = np.stack([by_place[wraps.places == wrap][0] for wrap in range(len(wraps.names))])
+    ratio = wraps.scale / _displacements()
+    free = numbers < layout.count
+    precision[numbers[free]] = ratio[free]
+    covariance = np.linalg.inv(information + np.diag(precision**2))
+    variance = np.ones(numbers.shape)
+    variance[free] = np.diag(covariance)[numbers[free]] * ratio[free] ** 2
+    return float(np.sqrt(variance.mean()))
 
 
 def true_changes(wraps: FreedWraps, true_wraps: Mapping[str, Sequence[float]]) -> np.ndarray:
@@ -283,6 +366,15 @@ def summary(people: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             method: {use: float(np.mean([one["moments_Nm"][method][use] for one in people])) for use in _USES}
             for method in ("NGA", "PGA")
         },
+        "distance": decrease([one["distance"]["ratio"] for one in people])
+        | {
+            "bound_ratio": float(
+                np.median([one["distance"]["bound"] / one["distance"]["before"] for one in people])
+            ),
+            "over_bound": float(
+                np.median([one["distance"]["after"] / one["distance"]["bound"] for one in people])
+            ),
+        },
         "converged": sum(one["converged"]["PGA"] for one in people),
     }
 
@@ -320,6 +412,8 @@ def describe(result: Mapping[str, Any]) -> str:
             else (f"{1e3 * own['before_m']:.2f} -> {1e3 * own['after_m']:.2f} mm ({own['ratio']:.2f})")
         )
         shown.append(f"{_KINDS[kind]} {own['arms']} arms {errors};")
+    own = result["distance"]
+    shown.append(f"cylinders {own['before']:.2f} -> {own['after']:.2f} SD, bound {own['bound']:.2f};")
     for use in _USES:
         shown.append(f"{use} {moments['NGA'][use]:.2f} -> {moments['PGA'][use]:.2f} N m")
     return " ".join(shown)
@@ -334,6 +428,12 @@ def lines(totals: Mapping[str, Any]) -> list[str]:
         ends = [end for end in own["median_interval"] if end is not None]
         interval = f" ({ends[0]:.2f} to {ends[1]:.2f})" if len(ends) == 2 else ""
         shown.append(f"{what}: errors decrease in {own['fallen']} of {own['of']}{ratio}{interval}")
+    own = totals["distance"]
+    shown.append(
+        f"distance of cylinders from the true ones: decreases in {own['fallen']} of {own['of']}, "
+        f"median ratio {own['median_ratio']:.2f}; bound {own['bound_ratio']:.2f}; "
+        f"{own['over_bound']:.2f} times the bound"
+    )
     for use in _USES:
         nga, pga = (totals["moments_Nm"][method][use] for method in ("NGA", "PGA"))
         shown.append(f"{use} cycles: NGA {nga:.2f}, PGA {pga:.2f} N m ({100 * (pga / nga - 1):+.1f} %)")
@@ -363,6 +463,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="M",
         help="prior SD of cylinder translations (default: that of the package)",
     )
+    parser.add_argument("--tasks", action="store_true", help="also trials of a dynamometer")
     parser.add_argument("--place", type=Path, metavar="DIR", help="folder of stored persons and results")
     parser.add_argument("--out", type=Path, metavar="FILE.json", help="file to write the results to")
     return parser
