@@ -20,6 +20,8 @@ after, is the root mean square of their parameters in standard deviations of the
 is the one that the Fisher information of the moments (with `MOMENT_NOISE` in each effective sample) and the
 priors of all free parameters leave at the true cylinders, by van Trees' inequality.
 
+With ``--bounds`` nothing is calibrated: the bounds by walking alone and by all trials are printed.
+
 Persons and results are stored in ``--place`` and reused. Use another folder for another version of the
 package.
 """
@@ -110,6 +112,9 @@ def main() -> int:
         for seed in seeds
     ]
     with tempfile.TemporaryDirectory() as spare:
+        if options.bounds:
+            print("\n".join(lines_of_bounds([bounds(one, options.place or Path(spare)) for one in asked])))
+            return 0
         found = evaluate_all(asked, options.place or Path(spare))
     totals = summary(found)
     print("\n".join(lines(totals)))
@@ -151,14 +156,9 @@ def evaluate_all(asked: Sequence[Question], place: Path) -> list[dict[str, Any]]
 def evaluate(asked: Question, place: Path) -> dict[str, Any]:
     """Simulate a person unless stored, calibrate, evaluate, and store the result."""
     import wrapjax
-    from validation.blind.hidden_wraps import hidden_wraps, write_hidden
     from wrapjax.io.files import write_json
 
-    folder = place / asked.person
-    if not folder.exists():
-        write_hidden(
-            hidden_wraps(asked.seed, asked.curves), asked.seed, asked.emg_noise, folder, tasks=asked.tasks
-        )
+    folder = simulate(asked, place)
     subject = wrapjax.load_subject(folder / "subject")
     geometry = wrapjax.exact_geometry(subject)
     before = wrapjax.calibrate(subject, "NGA", geometry, starts=asked.starts)
@@ -175,6 +175,54 @@ def evaluate(asked: Question, place: Path) -> dict[str, Any]:
     }
     write_json(place / asked.result, result)
     return dict(json.loads((place / asked.result).read_text(encoding="utf-8")))
+
+
+def simulate(asked: Question, place: Path) -> Path:
+    """Simulate a person unless stored, and return the folder."""
+    from validation.blind.hidden_wraps import hidden_wraps, write_hidden
+
+    folder = place / asked.person
+    if not folder.exists():
+        who = hidden_wraps(asked.seed, asked.curves)
+        write_hidden(who, asked.seed, asked.emg_noise, folder, tasks=asked.tasks)
+    return folder
+
+
+def bounds(asked: Question, place: Path) -> dict[str, float]:
+    """Compute the distance of the nominal cylinders, and its bounds by walking alone and by all trials."""
+    import jax.numpy as jnp
+
+    import wrapjax
+    from wrapjax.calibration.problem import build_objective
+    from wrapjax.subject.gait_alone import with_gait_alone
+
+    folder = simulate(replace(asked, tasks=True), place)
+    subject = wrapjax.load_subject(folder / "subject")
+    geometry = wrapjax.exact_geometry(subject)
+    freedom = geometry.freedom("PGA", subject)
+    assert freedom.wraps is not None, "PGA frees cylinders"
+    true_wraps = json.loads((folder / "truth.json").read_text(encoding="utf-8"))["wraps"]
+    changes = true_changes(freedom.wraps, true_wraps)
+    found = {"before": distance_to_truth(freedom.wraps, true_wraps, np.zeros_like(changes))["before"]}
+    for name, trials in (("walking", with_gait_alone(subject, "the bound")), ("all", subject)):
+        problem = build_objective(trials, "PGA", geometry, freedom)
+        tree = replace(problem.variables.base, path_changes=jnp.asarray(changes))
+        variables = np.asarray(problem.start(tree))
+        found[name] = bound_of_distance(problem, variables, trials, freedom.wraps)
+    print(
+        f"seed {asked.seed}: " + ", ".join(f"{key} {value:.3f}" for key, value in found.items()), flush=True
+    )
+    return found
+
+
+def lines_of_bounds(people: Sequence[Mapping[str, float]]) -> list[str]:
+    """Format the medians of the bounds, and their ratios to the distance of the nominal cylinders."""
+    columns = {key: np.array([one[key] for one in people]) for key in ("before", "walking", "all")}
+    medians = ", ".join(f"{key} {np.median(values):.2f}" for key, values in columns.items())
+    shares = ", ".join(
+        f"{key} {np.median(columns[key] / columns['before']):.2f}" for key in ("walking", "all")
+    )
+    return [f"median distance and bounds (SD): {medians}", f"median bound over distance: {shares}"]
 
 
 def with_prior(wraps: FreedWraps | None, distance: float) -> FreedWraps:
@@ -464,6 +512,7 @@ def _parser() -> argparse.ArgumentParser:
         help="prior SD of cylinder translations (default: that of the package)",
     )
     parser.add_argument("--tasks", action="store_true", help="also trials of a dynamometer")
+    parser.add_argument("--bounds", action="store_true", help="only the bounds, without a calibration")
     parser.add_argument("--place", type=Path, metavar="DIR", help="folder of stored persons and results")
     parser.add_argument("--out", type=Path, metavar="FILE.json", help="file to write the results to")
     return parser

@@ -31,8 +31,9 @@ from wrapjax.report.style import (
 SCHEMA = 1
 # Pairs of effects that are listed for each trial.
 _MOST_PAIRS = 6
-# Smallest detectability that the figure shows.
+# Smallest detectability that the figure shows, and its ticks.
 _LEAST_SHOWN = 0.1
+_TICKS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
 def protocol_findings(protocol: ProtocolResult) -> list[str]:
@@ -164,6 +165,9 @@ def detectability_figure(protocol: ProtocolResult) -> Figure:
     panel.plot(shown(after), rows, "o", color=VERMILION, label=label, **DOT)
     panel.set_xscale("log")
     panel.set_xlim(left=_LEAST_SHOWN)
+    ticks = [value for value in _TICKS if value <= panel.get_xlim()[1]]
+    panel.set_xticks(ticks, [f"{value:g}" for value in ticks])
+    panel.minorticks_off()
     panel.set_xlabel("detectability d' of an effect of its prior size")
     label_rows([panel], [protocol.effects[place] for place in order])
     legend_above(figure, panel)
