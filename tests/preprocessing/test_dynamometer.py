@@ -221,6 +221,7 @@ def test_settings_are_read_and_their_faults_named(tmp_path):
     assert not problems and found.torque_scale == 50.0 and found.angle_scale == 1.0
     for changes, words in (
         ({"file": "ankle.c3d"}, "time: expected neither time nor rate_hz"),
+        ({"weight_trial": "ankle.c3d"}, "weight_trial: expected a file of the same kind"),
         ({"torque_scale": 0.0}, "torque_scale: expected a number"),
         ({"time": "t"}, "either a column of times or rate_hz"),
         ({"torque_unit": "Nm"}, "torque_unit: expected 'N m'"),

@@ -92,6 +92,9 @@ def read_dynamometer(reader: TableReader, folder: Path) -> DynamometerSettings |
         files[key] = None if name is None else folder / name
         if name is not None and not (folder / name).is_file():
             own.add_problem(key, f"expected a file, found no {folder / name}")
+    kinds = {path.suffix.lower() for path in files.values() if path is not None}
+    if len(kinds) > 1:
+        own.add_problem("weight_trial", f"expected a file of the same kind as file, found {sorted(kinds)}")
     coordinate = own.text("coordinate")
     time = own.text("time", required=False)
     angle, torque = own.text("angle"), own.text("torque")
