@@ -9,6 +9,7 @@ import pytest
 from tests.subject.synthetic import write_subject
 from wrapjax.cli.command_line import main
 from wrapjax.cli.protocol import protocol_table
+from wrapjax.diagnosis.diagnosis import diagnosis_input
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.null_covariance import (
     EXPECTED_FORCE_ERROR,
@@ -38,7 +39,7 @@ WITHOUT = tuple(sorted(set(CATALOGUE) - {*KEPT, "curve_family"}))
 
 @pytest.fixture(scope="module")
 def data(calibrated):
-    return input_of_calibration(calibrated, WITHOUT)
+    return input_of_calibration(calibrated, diagnosis_input(calibrated, WITHOUT))
 
 
 @pytest.fixture(scope="module")

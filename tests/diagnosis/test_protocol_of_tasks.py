@@ -30,12 +30,12 @@ def found(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def with_tasks(found):
-    return input_of_calibration(found.calibration, WITHOUT, (found.data, found.other_tasks))
+    return input_of_calibration(found.calibration, found.data, found.other_tasks)
 
 
 @pytest.fixture(scope="module")
 def of_gait(found):
-    return input_of_calibration(found.calibration, WITHOUT, (found.data, None))
+    return input_of_calibration(found.calibration, found.data)
 
 
 @pytest.mark.slow

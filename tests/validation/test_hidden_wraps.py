@@ -26,18 +26,16 @@ from validation.blind.opensim_leg import muscle_paths
 from validation.blind.worlds import GaitSettings, WorldSettings
 from validation.calibration import hidden_wraps
 from validation.calibration.hidden_wraps import (
-    MOMENT_NOISE,
     Question,
     arm_errors,
-    bound_of_distance,
     decrease,
-    distance_to_truth,
     evaluate_all,
     identifiable_and_touched,
     lines,
     summary,
     with_prior,
 )
+from validation.calibration.wrap_bounds import MOMENT_NOISE, bound_of_distance, distance_to_truth
 from wrapjax.calibration.objective import MOMENT_ERROR
 from wrapjax.calibration.sample_weights import samples_by_recording
 from wrapjax.path_sources.exact import freed_wraps

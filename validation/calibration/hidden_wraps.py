@@ -16,11 +16,7 @@ decrease.
 With ``--tasks`` each person also does four passive rotations and isometric ramps at three angles of hip, knee
 and ankle in both directions (`validation.blind.dynamometer`), and is calibrated to all of it. Moment arms are
 compared over the gait cycles in either case. The distance of the cylinders from the true ones, before and
-after, is the root mean square of their parameters in standard deviations of the displacements; its bound
-is the one that the Fisher information of the moments (with `MOMENT_NOISE` in each effective sample) and the
-priors of all free parameters leave at the true cylinders, by van Trees' inequality.
-
-With ``--bounds`` nothing is calibrated: the bounds by walking alone and by all trials are printed.
+after, stands beside its bound (`validation.calibration.wrap_bounds`).
 
 Persons and results are stored in ``--place`` and reused. Use another folder for another version of the
 package.
@@ -42,19 +38,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from benchmarks.machine import commit, describe_machine, pin_threads, versions
+from validation.calibration.wrap_bounds import (
+    bound_of_distance,
+    distance_to_truth,
+    simulated,
+    true_changes,
+)
 from wrapjax.jax_setup import clear_caches_near_map_limit, set_up_jax
 
 if TYPE_CHECKING:
     from wrapjax.calibration.calibration import Calibration
-    from wrapjax.calibration.objective import Objective
     from wrapjax.model.freedom import FreedWraps
     from wrapjax.path_sources.exact import ExactGeometry
     from wrapjax.subject.subject import Subject
 
 #: Moment noise, N m, for which arms count as identifiable.
 NOISE = 0.003
-#: Noise of the moments in each effective sample, N m, for the bound of the distance of cylinders.
-MOMENT_NOISE = 3.0
 #: Families of curves and activation dynamics of the simulator.
 CURVES = ("millard", "thelen", "spline")
 #: Keys of results for identifiable and for all touched arms, with their descriptions.
@@ -112,9 +111,6 @@ def main() -> int:
         for seed in seeds
     ]
     with tempfile.TemporaryDirectory() as spare:
-        if options.bounds:
-            print("\n".join(lines_of_bounds([bounds(one, options.place or Path(spare)) for one in asked])))
-            return 0
         found = evaluate_all(asked, options.place or Path(spare))
     totals = summary(found)
     print("\n".join(lines(totals)))
@@ -158,7 +154,7 @@ def evaluate(asked: Question, place: Path) -> dict[str, Any]:
     import wrapjax
     from wrapjax.io.files import write_json
 
-    folder = simulate(asked, place)
+    folder = simulated(asked.person, asked.seed, asked.emg_noise, place, asked.curves, tasks=asked.tasks)
     subject = wrapjax.load_subject(folder / "subject")
     geometry = wrapjax.exact_geometry(subject)
     before = wrapjax.calibrate(subject, "NGA", geometry, starts=asked.starts)
@@ -175,54 +171,6 @@ def evaluate(asked: Question, place: Path) -> dict[str, Any]:
     }
     write_json(place / asked.result, result)
     return dict(json.loads((place / asked.result).read_text(encoding="utf-8")))
-
-
-def simulate(asked: Question, place: Path) -> Path:
-    """Simulate a person unless stored, and return the folder."""
-    from validation.blind.hidden_wraps import hidden_wraps, write_hidden
-
-    folder = place / asked.person
-    if not folder.exists():
-        who = hidden_wraps(asked.seed, asked.curves)
-        write_hidden(who, asked.seed, asked.emg_noise, folder, tasks=asked.tasks)
-    return folder
-
-
-def bounds(asked: Question, place: Path) -> dict[str, float]:
-    """Compute the distance of the nominal cylinders, and its bounds by walking alone and by all trials."""
-    import jax.numpy as jnp
-
-    import wrapjax
-    from wrapjax.calibration.problem import build_objective
-    from wrapjax.subject.gait_alone import with_gait_alone
-
-    folder = simulate(replace(asked, tasks=True), place)
-    subject = wrapjax.load_subject(folder / "subject")
-    geometry = wrapjax.exact_geometry(subject)
-    freedom = geometry.freedom("PGA", subject)
-    assert freedom.wraps is not None, "PGA frees cylinders"
-    true_wraps = json.loads((folder / "truth.json").read_text(encoding="utf-8"))["wraps"]
-    changes = true_changes(freedom.wraps, true_wraps)
-    found = {"before": distance_to_truth(freedom.wraps, true_wraps, np.zeros_like(changes))["before"]}
-    for name, trials in (("walking", with_gait_alone(subject, "the bound")), ("all", subject)):
-        problem = build_objective(trials, "PGA", geometry, freedom)
-        tree = replace(problem.variables.base, path_changes=jnp.asarray(changes))
-        variables = np.asarray(problem.start(tree))
-        found[name] = bound_of_distance(problem, variables, trials, freedom.wraps)
-    print(
-        f"seed {asked.seed}: " + ", ".join(f"{key} {value:.3f}" for key, value in found.items()), flush=True
-    )
-    return found
-
-
-def lines_of_bounds(people: Sequence[Mapping[str, float]]) -> list[str]:
-    """Format the medians of the bounds, and their ratios to the distance of the nominal cylinders."""
-    columns = {key: np.array([one[key] for one in people]) for key in ("before", "walking", "all")}
-    medians = ", ".join(f"{key} {np.median(values):.2f}" for key, values in columns.items())
-    shares = ", ".join(
-        f"{key} {np.median(columns[key] / columns['before']):.2f}" for key in ("walking", "all")
-    )
-    return [f"median distance and bounds (SD): {medians}", f"median bound over distance: {shares}"]
 
 
 def with_prior(wraps: FreedWraps | None, distance: float) -> FreedWraps:
@@ -300,72 +248,6 @@ def compare_with_truth(
             )
         },
     }
-
-
-def _displacements() -> np.ndarray:
-    """Return the standard deviations of displacements, in the order of a cylinder's parameters."""
-    from validation.blind.hidden_wraps import PLACE, RADIUS, TURN
-
-    return np.array([PLACE, PLACE, PLACE, TURN, TURN, RADIUS])
-
-
-def distance_to_truth(
-    wraps: FreedWraps, true_wraps: Mapping[str, Sequence[float]], found: np.ndarray
-) -> dict[str, float]:
-    """Compute the distance of the cylinders from the true ones, in standard deviations of displacements."""
-    from wrapjax.geometry.wrapping import NOMINAL
-
-    true = np.stack([np.array(true_wraps[name]) - NOMINAL for name in wraps.names]) / _displacements()
-    after = wraps.changes_of(found) / _displacements()
-    distances = [float(np.sqrt(np.mean(one**2))) for one in (true, after - true)]
-    return {"before": distances[0], "after": distances[1], "ratio": distances[1] / distances[0]}
-
-
-def bound_of_distance(
-    problem: Objective, variables: np.ndarray, subject: Subject, wraps: FreedWraps
-) -> float:
-    """Compute the least root mean square distance of the cylinders, in standard deviations of displacements.
-
-    Parameters
-    ----------
-    problem, variables
-        Calibration with free cylinders, and its variables at the true cylinders.
-    subject
-        Subject, whose calibration trials count by their effective samples.
-    wraps
-        Free cylinders; a parameter that is held stays as far away as it is.
-    """
-    import equinox as eqx
-    import jax.numpy as jnp
-
-    from wrapjax.calibration.objective import MOMENT_ERROR
-    from wrapjax.calibration.sample_weights import samples_by_recording
-
-    layout = problem.variables
-    rows = np.asarray(eqx.filter_jit(problem.moment_jacobian)(jnp.asarray(variables)))
-    samples = sum(samples_by_recording(subject.trials.used_for("calibration")).values())
-    # Rows are in allowable errors, weighted by the samples that they stand for: their squares are a mean.
-    information = samples * (MOMENT_ERROR / MOMENT_NOISE) ** 2 * rows.T @ rows
-    width = np.asarray(layout.upper) - np.asarray(layout.lower)
-    precision = np.where(layout.prior_precision > 0.0, layout.prior_precision, 1.0 / width)
-    by_place = np.asarray(layout.index)[:, -layout.modes :].reshape(*wraps.places.shape, -1)
-    numbers = np.stack([by_place[wraps.places == wrap][0] for wrap in range(len(wraps.names))])
-    ratio = wraps.scale / _displacements()
-    free = numbers < layout.count
-    precision[numbers[free]] = ratio[free]
-    covariance = np.linalg.inv(information + np.diag(precision**2))
-    variance = np.ones(numbers.shape)
-    variance[free] = np.diag(covariance)[numbers[free]] * ratio[free] ** 2
-    return float(np.sqrt(variance.mean()))
-
-
-def true_changes(wraps: FreedWraps, true_wraps: Mapping[str, Sequence[float]]) -> np.ndarray:
-    """Return true wrap parameters as path changes: (muscle, mode), differences from nominal."""
-    from wrapjax.geometry.wrapping import NOMINAL
-
-    moved = np.stack([np.array(true_wraps[name]) - NOMINAL for name in wraps.names])
-    changes = np.where((wraps.places >= 0)[..., None], moved[wraps.places], 0.0)
-    return changes.reshape(len(changes), -1)
 
 
 def identifiable_and_touched(
@@ -512,7 +394,6 @@ def _parser() -> argparse.ArgumentParser:
         help="prior SD of cylinder translations (default: that of the package)",
     )
     parser.add_argument("--tasks", action="store_true", help="also trials of a dynamometer")
-    parser.add_argument("--bounds", action="store_true", help="only the bounds, without a calibration")
     parser.add_argument("--place", type=Path, metavar="DIR", help="folder of stored persons and results")
     parser.add_argument("--out", type=Path, metavar="FILE.json", help="file to write the results to")
     return parser

@@ -18,13 +18,13 @@ from scipy.optimize import nnls
 from . import gait, running, squats
 from .case_files import added_trials, write_trial
 from .drive import FIRST, DriveFit, channel_weights
-from .dynamics import contact_map, inverse_dynamics
+from .dynamics import inverse_dynamics
 from .effect import Effect, View, forward
 from .leg import geometry
 from .muscle import RATE
 from .other_tasks import OF_WALKING
 from .person import Person
-from .session import Session, Take, adjust_contact
+from .session import Session, Take, bring_near
 from .signals import envelope, session_peak
 
 #: Smallest drive, and weight of activations against moments (Nm) in static optimisation.
@@ -140,10 +140,7 @@ def take(
     fit = DriveFit(start, per, p.muscles, goal, np.where(rec.force[:, 1] > 0, 0.5, 2.0))
     drive = fit.solve(lambda n: forward(n, view))
     moments = forward(drive, view)
-    contact = contact_map(p.leg, rec.q, rec.pelvis)
-    for _ in range(2):
-        now = inverse_dynamics(p.leg, rec.q, rec.pelvis, rec.force, rec.cop, rec.free)
-        adjust_contact(contact, rec, moments - now, p.mass, 0.004)
+    bring_near(p.leg, rec, moments, p.mass, 0.004)
     fit.wanted = moments
     plain = Take(view, fit, drive, moments)
 

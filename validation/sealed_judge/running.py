@@ -10,11 +10,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from . import gait
-from .dynamics import contact_map, inverse_dynamics
 from .leg import frames
 from .muscle import RATE
 from .person import Person
-from .session import adjust_contact
+from .session import bring_near
 
 #: Number of cycles, cycle time (s), and part of it in stance.
 CYCLES, PERIOD, STANCE = 8, 0.78, 0.39
@@ -122,8 +121,5 @@ def record(person: Person, rng: np.random.Generator) -> gait.Recording:
         person.speeds[0], time, phase, marks[1:-1], q, pelvis, force, cop, 0 * phase, other,
         cop * mirror, target, slice(int(inside[0]), int(inside[-1]) + 1),
     )  # fmt: skip
-    contact = contact_map(leg, q, pelvis)
-    for _ in range(2):
-        now = inverse_dynamics(leg, rec.q, rec.pelvis, rec.force, rec.cop, rec.free)
-        adjust_contact(contact, rec, (target - now) * (rec.force[:, 1:2] > 0), mass, 0.1)
+    bring_near(leg, rec, target, mass, 0.1)
     return rec

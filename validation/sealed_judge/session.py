@@ -12,7 +12,7 @@ from . import anatomy, gait
 from .drive import DriveFit, channel_weights, mean_drive
 from .dynamics import contact_map, inverse_dynamics
 from .effect import Effect, Measured, View, forward
-from .leg import geometry
+from .leg import Leg, geometry
 from .muscle import RATE
 from .person import Person
 
@@ -57,6 +57,28 @@ def adjust_contact(
     rec.cop = rec.cop + np.stack([0.012 * x[:, 3], 0 * up, 0.012 * x[:, 4]], axis=1)
     rec.force = rec.force + np.stack([0.05 * x[:, 0], 0.05 * x[:, 1], 0.03 * x[:, 2]], axis=1) * up[:, None]
     rec.free = rec.free + 0.008 * up * x[:, 5]
+
+
+def bring_near(leg: Leg, rec: gait.Recording, wanted: np.ndarray, mass: float, slack: float) -> None:
+    """Shift the contact of a recording so that inverse dynamics comes near the wanted joint moments.
+
+    Parameters
+    ----------
+    leg : Leg
+        True leg.
+    rec : Recording
+        Changed in place, where the foot is loaded.
+    wanted : ndarray
+        Wanted joint moments, shape (T, 6).
+    mass : float
+        Body mass, kg.
+    slack : float
+        Admissible miss, Nm/kg.
+    """
+    contact = contact_map(leg, rec.q, rec.pelvis)
+    for _ in range(2):
+        now = inverse_dynamics(leg, rec.q, rec.pelvis, rec.force, rec.cop, rec.free)
+        adjust_contact(contact, rec, wanted - now, mass, slack)
 
 
 def smooth_envelope(envelope: np.ndarray) -> np.ndarray:
@@ -104,10 +126,7 @@ class Session:
     def _target(self, rec: gait.Recording) -> np.ndarray:
         """Bring the contact of a recording near the textbook moments and return its joint moments."""
         p = self.person
-        contact = contact_map(p.leg, rec.q, rec.pelvis)
-        for _ in range(2):
-            now = inverse_dynamics(p.leg, rec.q, rec.pelvis, rec.force, rec.cop, rec.free)
-            adjust_contact(contact, rec, (rec.target - now) * (rec.force[:, 1:2] > 0), p.mass, 0.08)
+        bring_near(p.leg, rec, rec.target, p.mass, 0.08)
         return inverse_dynamics(p.leg, rec.q, rec.pelvis, rec.force, rec.cop, rec.free)
 
     def _take(self, rng: np.random.Generator, speed: float, cycles: int) -> Take:
@@ -132,10 +151,7 @@ class Session:
         fit = DriveFit(start, per, p.muscles, goal, np.where(rec.force[:, 1] > 0, 0.5, 2.0))
         drive = fit.solve(lambda n: forward(n, view))
         moments = forward(drive, view)
-        contact = contact_map(p.leg, rec.q, rec.pelvis)
-        for _ in range(2):
-            now = inverse_dynamics(p.leg, rec.q, rec.pelvis, rec.force, rec.cop, rec.free)
-            adjust_contact(contact, rec, moments - now, p.mass, 0.004)
+        bring_near(p.leg, rec, moments, p.mass, 0.004)
         fit.wanted = moments
         return Take(view, fit, drive, moments)
 

@@ -14,7 +14,6 @@ from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.problem import build_objective
 from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.cycle_noise import CycleNoise, cycle_noise
-from wrapjax.diagnosis.diagnosis import diagnosis_input
 from wrapjax.diagnosis.effects.catalogue import available_effects, catalogue
 from wrapjax.diagnosis.input import DiagnosisInput, phase_frames, speed_numbers
 from wrapjax.diagnosis.linearization import LinearizedModel, linearized_model
@@ -96,9 +95,7 @@ class _Recorded:
 
 
 def input_of_calibration(
-    calibration: Calibration,
-    without: Sequence[str] = (),
-    known: tuple[DiagnosisInput, OtherTasks | None] | None = None,
+    calibration: Calibration, data: DiagnosisInput, others: OtherTasks | None = None
 ) -> ProtocolInput:
     """Linearise a calibrated model over its calibration cycles, other recorded tasks, and candidate trials.
 
@@ -106,12 +103,11 @@ def input_of_calibration(
     ----------
     calibration
         Calibration of one leg to gait.
-    without
-        Identifiers of effects to leave out.
-    known
-        Input of a diagnosis of this calibration, and its other tasks; without other tasks if not given.
+    data
+        Input of a diagnosis of this calibration.
+    others
+        Other tasks that were recorded; None for gait alone.
     """
-    data, others = known if known is not None else (diagnosis_input(calibration, without), None)
     subject, context = calibration.subject, data.calibration_context
     before = _recorded(data, others)
     engine = build_engine(subject)

@@ -142,7 +142,7 @@ def protocol(
     refuse_unknown(without)
     began = time.perf_counter()
     if isinstance(subject, Diagnosis):
-        known = (subject.data.without((*subject.data.withheld, *without)), subject.other_tasks)
+        of_gait, others = subject.data.without((*subject.data.withheld, *without)), subject.other_tasks
         if probabilities is None:
             probabilities = undecided(subject.result)
         calibration = subject.calibration
@@ -162,9 +162,9 @@ def protocol(
         if calibration.status is Status.interrupted:
             raise KeyboardInterrupt
         of_gait = diagnosis_input(calibration, without)
-        known = (of_gait, None if all_gait else other_tasks(calibration, of_gait, leg))
+        others = None if all_gait else other_tasks(calibration, of_gait, leg)
     log("computing the signature of every effect in every trial")
-    data = input_of_calibration(calibration, without, known)
+    data = input_of_calibration(calibration, of_gait, others)
     return advise_trials(calibration.subject.name, _basis(data), data, probabilities, began, log)
 
 
