@@ -273,17 +273,18 @@ def _converged(
         first, second = once - contacts, twice - once
         factor = jnp.clip(jnp.sum(first * second) * safe_inverse(jnp.sum(first**2)), -0.9, 0.9)
         # After the last extrapolation points would be off the surface by its size.
-        arrived = jnp.max(jnp.abs(second)) < _GEODESIC_TOLERANCE
-        ahead = jnp.where(arrived, 0.0, factor / (1.0 - factor))
-        return twice + ahead * second, arrived, count + 1
+        moved = jnp.max(jnp.abs(second))
+        ahead = jnp.where(moved < _GEODESIC_TOLERANCE, 0.0, factor / (1.0 - factor))
+        return twice + ahead * second, moved, count + 1
 
     def unconverged(state):
-        return ~state[1] & (state[2] < _MAX_STEPS)
+        return (state[1] >= _GEODESIC_TOLERANCE) & (state[2] < _MAX_STEPS)
 
-    ordered = (route.position[points:], jnp.asarray(False), jnp.asarray(0))
-    contacts, arrived, _ = jax.lax.while_loop(unconverged, step, ordered)
+    ordered = (route.position[points:], jnp.asarray(jnp.inf), jnp.asarray(0))
+    contacts, moved, _ = jax.lax.while_loop(unconverged, step, ordered)
     # Round surfaces that overlap the contacts may move without end: those of the last sweep are on surfaces.
-    contacts = jnp.where(arrived, contacts, ordered[0])
+    # Rounding alone may move them by more than the tolerance.
+    contacts = jnp.where(moved < _LARGEST_MOVE, contacts, ordered[0])
     return route._replace(position=jnp.concatenate([path.position, contacts]))
 
 
