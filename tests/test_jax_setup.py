@@ -10,15 +10,17 @@ import pytest
 import wrapjax.jax_setup
 from wrapjax.jax_setup import choose_compiler_options
 
-OURS = "--xla_cpu_use_fusion_emitters"
+EMITTERS, LEVEL = "--xla_cpu_use_fusion_emitters", "--xla_backend_optimization_level"
+OURS = f"{EMITTERS}=false {LEVEL}=1"
 
 
 @pytest.mark.parametrize(
     ("series", "before", "after"),
     [
-        ("0.10.2", "", f"{OURS}=false"),
-        ("0.10.2", "--xla_dump_to=x", f"--xla_dump_to=x {OURS}=false"),
-        ("0.10.2", f"{OURS}=true", f"{OURS}=true"),
+        ("0.10.2", "", OURS),
+        ("0.10.2", "--xla_dump_to=x", f"--xla_dump_to=x {OURS}"),
+        ("0.10.2", f"{EMITTERS}=true", f"{EMITTERS}=true {LEVEL}=1"),
+        ("0.10.2", f"{LEVEL}=3", f"{LEVEL}=3 {EMITTERS}=false"),
         # Another version may not know it, and would end the process.
         ("0.99.0", "--xla_dump_to=x", "--xla_dump_to=x"),
     ],
@@ -40,7 +42,7 @@ def test_the_installed_version_accepts_them():
     done = subprocess.run(
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
     )
-    assert done.returncode == 0 and done.stdout.split() == ["2.0", f"{OURS}=false"], done.stderr
+    assert done.returncode == 0 and done.stdout.split() == ["2.0", *OURS.split()], done.stderr
 
 
 def test_freed_memory_is_kept():
