@@ -6,12 +6,13 @@
 subject's muscle paths by polynomials (``fit_wraps`` makes these depend on the wrapping surfaces),
 ``initialise`` finds initial muscle lengths, ``calibrate`` fits the model to the person, ``compare`` does so
 by several methods, ``uncertainty`` gives intervals of the calibrated parameters, ``diagnose`` finds the
-effect that best explains the remaining error (of those in ``effect_meanings``), ``protocol`` the trials that
-would tell most, ``diagnose_against`` what differs between two conditions of one person, ``contact`` computes
-joint contact forces, ``evaluate`` tests a finished calibration (``load_run``) on other trials, and ``cohort``
-calibrates many subjects. ``show`` writes a page with the model in motion. ``objective`` returns the
-calibration's cost as a pure function for `jax.grad`, and ``build_objective`` the object behind it.
-``muscle_paths`` computes muscle lengths and moment arms of any OpenSim model, without recordings.
+effect that best explains the remaining error (of those in ``effect_meanings``, to which ``register_effect``
+adds), ``protocol`` the trials that would tell most, ``diagnose_against`` what differs between two conditions
+of one person, ``contact`` computes joint contact forces, ``evaluate`` tests a finished calibration
+(``load_run``) on other trials, and ``cohort`` calibrates many subjects. ``show`` writes a page with the model
+in motion. ``objective`` returns the calibration's cost as a pure function for `jax.grad`, and
+``build_objective`` the object behind it. ``muscle_paths`` computes muscle lengths and moment arms of any
+OpenSim model, without recordings.
 
 ``write_virtual_subject`` simulates a person with known parameters.
 

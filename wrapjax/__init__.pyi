@@ -24,6 +24,7 @@ from .diagnosis.against import diagnose_against as diagnose_against
 from .diagnosis.diagnosis import Diagnosis as Diagnosis
 from .diagnosis.diagnosis import diagnose as diagnose
 from .diagnosis.effects.catalogue import effect_meanings as effect_meanings
+from .diagnosis.effects.catalogue import register_effect as register_effect
 from .diagnosis.protocol.protocol import Protocol as Protocol
 from .diagnosis.protocol.protocol import protocol as protocol
 from .errors import InputError as InputError

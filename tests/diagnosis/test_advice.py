@@ -2,17 +2,17 @@
 
 import pytest
 
-from wrapjax.diagnosis.advice import MENU, advise
-from wrapjax.diagnosis.effects.catalogue import CATALOGUE, DEFINITIONS
+from wrapjax.diagnosis.advice import advise, effects_by_experiment
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.experiments import EMG_AT_REST, EXPERIMENTS
 
 
 def test_every_experiment_shows_an_effect():
-    shown = [id for ids in MENU.values() for id in ids]
-    assert sorted(shown) == sorted(entry.id for entry in DEFINITIONS if entry.experiment is not None)
-    assert set(shown) <= set(CATALOGUE) and all(MENU.values())
-    assert tuple(MENU) == EXPERIMENTS
-    assert all(experiment.minutes > 0 and experiment.text for experiment in MENU)
+    menu = effects_by_experiment()
+    shown = [id for ids in menu.values() for id in ids]
+    assert sorted(shown) == sorted(id for id, one in CATALOGUE.items() if one.experiment is not None)
+    assert all(menu.values()) and tuple(menu) == EXPERIMENTS
+    assert all(experiment.minutes > 0 and experiment.text for experiment in menu)
 
 
 def test_an_experiment_that_shows_all_tied_effects_is_not_advised():

@@ -3,8 +3,10 @@
 import dataclasses
 import json
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.tree_util import Partial
 
 from wrapjax import InputError
 from wrapjax.datasets.virtual_person.hidden_effects import HIDDEN_EFFECTS
@@ -12,9 +14,11 @@ from wrapjax.demonstration.demo import EXCLUDED_EFFECTS, demonstrate_diagnosis
 from wrapjax.diagnosis import decision, diagnosis, pipeline, score
 from wrapjax.diagnosis.claim import examine_claim
 from wrapjax.diagnosis.diagnosis import diagnose, diagnose_calibrated
-from wrapjax.diagnosis.effects.catalogue import CATALOGUE
-from wrapjax.diagnosis.effects.effect import Effects
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE, effect_meanings, register_effect
+from wrapjax.diagnosis.effects.definition import EffectDefinition
+from wrapjax.diagnosis.effects.effect import EffectParameter, Effects, Variant
 from wrapjax.diagnosis.score import Scores
+from wrapjax.model.alteration import Alteration
 
 #: Few effects, which compile fast.
 SCORED = {"joint_damping", "emg_drift"}
@@ -110,6 +114,52 @@ def test_withholding_an_effect_afterwards_or_at_once_gives_the_same_result(found
         np.testing.assert_array_equal(one.predicted, other.predicted)
     with pytest.raises(InputError, match="joint_damping"):
         found.without("joint_dampin")
+
+
+def spring(context):
+    """A moment of 1 N m/rad times the size against the first coordinate, about its mean."""
+    basis = np.zeros((1, *context.angles.shape))
+    basis[0, :, 0] = context.reference.angles[:, 0].mean() - context.angles[:, 0]
+    return (Variant(Partial(stretched, jnp.asarray(basis))),)
+
+
+def stretched(basis, sizes):
+    return Alteration(moment=jnp.tensordot(sizes, basis, axes=1))
+
+
+BRACE = EffectDefinition(
+    id="knee_brace",
+    meaning="a brace acts like a spring",
+    family="device",
+    parameters=(EffectParameter("stiffness", "N m/rad", 20.0, 1, "stiffness", "bench test", limit=100.0),),
+    variants=spring,
+)
+
+
+def test_an_effect_of_ones_own_is_scored_fitted_and_reported(found, monkeypatch, tmp_path):
+    """The evidence of the others stays."""
+    monkeypatch.setitem(CATALOGUE, "knee_brace", BRACE)
+    register_effect(BRACE)
+    assert effect_meanings()["knee_brace"] == BRACE.meaning
+    monkeypatch.setattr(pipeline, "effects_to_refit", lambda _: [("knee_brace",)])
+    again = found.without(*WITHOUT)
+    evidence, before = ({one.id: one.evidence for one in of.result.effects} for of in (again, found))
+    assert evidence.keys() == SCORED | {"knee_brace"}
+    assert {id: evidence[id] for id in SCORED} == pytest.approx(before, rel=1e-9)
+    assert [refit.ids for refit in again.result.refits] == [("knee_brace",)]
+    again.save(tmp_path / "gap")
+    content = json.loads((tmp_path / "gap" / "gap.json").read_text())
+    (own,) = (one for one in content["effects"] if one["id"] == "knee_brace")
+    assert own["parameters"][0]["unit"] == "N m/rad"
+    assert "knee brace" in (tmp_path / "gap" / "report.html").read_text().lower()
+
+
+@pytest.mark.parametrize("id", ["joint_damping", "unknown", "knee brace"])
+def test_an_effect_of_ones_own_needs_a_name_of_its_own(id):
+    with pytest.raises(ValueError, match=f"'{id}' cannot name"):
+        register_effect(dataclasses.replace(BRACE, id=id))
+    with pytest.raises(ValueError, match="there is no family 'brace'"):
+        register_effect(dataclasses.replace(BRACE, family="brace"))
 
 
 @pytest.mark.parametrize("refused", [(), ("emg_drift",)])

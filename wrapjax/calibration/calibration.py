@@ -241,7 +241,8 @@ def calibrate(
         Called after each iteration with the number of the start, the iteration and the solver's state; raise
         `KeyboardInterrupt` in it to stop with the best result so far.
     curves
-        Hill curves: ``paper`` (as published) or ``opensim`` (a later refit); see `HILL_CURVES`.
+        Hill curves: ``paper`` (as published), ``opensim`` (a later refit), or a name that was added to
+        `HILL_CURVES`.
     tendon
         ``rigid`` (as published), or ``compliant``: in equilibrium with the fibers in every frame, with a
         strain of 4 % at maximum isometric force. A compliant tendon takes several times as long.
@@ -282,8 +283,8 @@ def calibrate(
     >>> calibration.save("run")  # doctest: +SKIP
     """
     solver = constrained_solver(solver)
-    legs = build_leg_setups(subject, fit, method, freedom, undriven, synergies, surfaces)
     options = MuscleOptions(curves, tendon, muscle_law)
+    legs = build_leg_setups(subject, fit, method, freedom, undriven, synergies, surfaces)
     fingerprint = calibration_fingerprint(legs, solver, options, starts, seed)
     by_leg = [
         build_stages(

@@ -21,7 +21,7 @@ from wrapjax.io.files import new_folder, write_json, write_text
 from wrapjax.io.model_file import MuscleParameters, read_model_file
 from wrapjax.jax_setup import require_float64
 from wrapjax.model.parameters import initial_parameters
-from wrapjax.muscle.curves import HILL_CURVES
+from wrapjax.muscle.curves import hill_curves
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.exact import recorded_motion
 from wrapjax.path_sources.undriven_muscles import acting_muscles
@@ -256,7 +256,7 @@ def _problem(
     grouped = tuple(tuple(muscles.names.index(name) for name in group) for group in groups)
     alone = tuple((row,) for row in range(count) if not any(row in group for group in grouped))
     return InitialLengthObjective(
-        curves=HILL_CURVES[curves],
+        curves=hill_curves(curves),
         parameters=initial_parameters(
             muscles.max_isometric_force,
             muscles.optimal_fiber_length,

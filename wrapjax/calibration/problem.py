@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -25,7 +26,7 @@ from wrapjax.model.forward import muscle_states
 from wrapjax.model.freedom import Freedom
 from wrapjax.model.parameters import ModelParameters, with_muscle_law, with_path_modes
 from wrapjax.model.variables import free_variables
-from wrapjax.muscle.curves import HILL_CURVES
+from wrapjax.muscle.curves import hill_curves
 from wrapjax.muscle.published_laws import GIVEN_LAW
 from wrapjax.path_sources.exact import SURFACES, ExactGeometry, exact_geometry
 from wrapjax.path_sources.model_inputs import group_indices, model_parameters, recording
@@ -124,10 +125,10 @@ def build_stages(
     base = with_muscle_law(model_parameters(subject), muscle_law, curves)
     names = subject.muscles.names
     alterations = tendon_alterations(tendon, len(names))
-    reference = eqx.filter_jit(muscle_states)(HILL_CURVES[curves], base, inputs, alterations)
+    reference = eqx.filter_jit(muscle_states)(hill_curves(curves), base, inputs, alterations)
     errors = moment_errors_by_weight(trials)
     held = Objective(
-        curves=HILL_CURVES[curves],
+        curves=hill_curves(curves),
         recording=inputs,
         measured=jnp.asarray(np.nan_to_num(trials.moments)),
         variables=free_variables(base, freedom.with_held_paths(), names),
@@ -353,12 +354,17 @@ class MuscleOptions:
     tendon: str = "rigid"
     law: str = GIVEN_LAW
 
+    def __post_init__(self):
+        hill_curves(self.curves)
+
 
 def calibration_fingerprint(
     legs: list[LegSetup], solver: AugmentedLagrangian, options: MuscleOptions, starts: int, seed: int
 ) -> str:
     """Compute the fingerprint of a calibration."""
-    inputs = (*map(_hash_of_leg, legs), repr((solver, options, starts, seed)))
+    # Curves of one's own may change under one name.
+    curves = content_hash(*map(np.asarray, jax.tree.leaves(hill_curves(options.curves))))
+    inputs = (*map(_hash_of_leg, legs), repr((solver, options, starts, seed)), curves)
     return fingerprint(*inputs, module="wrapjax.calibration.calibration")
 
 

@@ -6,18 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
 
-from wrapjax.diagnosis.effects.catalogue import DEFINITIONS
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.experiments import EXPERIMENTS, Experiment
 
 #: Squared distance of two effects, in squared standard deviations, at which one is 20 times as likely as the
 #: other: the evidence of 3 nats is half of it.
 _SEPARATING_DISTANCE = 6.0
-
-#: Identifiers of the effects that each experiment shows.
-MENU: dict[Experiment, tuple[str, ...]] = {
-    experiment: tuple(definition.id for definition in DEFINITIONS if definition.experiment is experiment)
-    for experiment in EXPERIMENTS
-}
 
 
 @dataclass(frozen=True)
@@ -46,6 +40,15 @@ class Advice:
     information: float | None = None
 
 
+def effects_by_experiment() -> dict[Experiment, tuple[str, ...]]:
+    """List the identifiers of the effects that each experiment shows."""
+    shows: dict[Experiment, tuple[str, ...]] = dict.fromkeys(EXPERIMENTS, ())
+    for definition in CATALOGUE.values():
+        if definition.experiment is not None:
+            shows[definition.experiment] = (*shows.get(definition.experiment, ()), definition.id)
+    return shows
+
+
 def advise(tie: Sequence[str], least_apart: float, cycles: int) -> Advice | None:
     """Find the shortest experiment that tells members of a tie apart; None if there is no such experiment.
 
@@ -60,8 +63,9 @@ def advise(tie: Sequence[str], least_apart: float, cycles: int) -> Advice | None
     cycles
         Number of these cycles.
     """
-    for experiment in sorted(MENU, key=lambda experiment: experiment.minutes):
-        shown = set(MENU[experiment]) & set(tie)
+    shows = effects_by_experiment()
+    for experiment in sorted(shows, key=lambda experiment: experiment.minutes):
+        shown = set(shows[experiment]) & set(tie)
         if shown and shown != set(tie):
             more = ceil(_SEPARATING_DISTANCE * cycles / least_apart) if least_apart > 0.0 else None
             return Advice(tuple(tie), experiment.text, experiment.minutes, more)

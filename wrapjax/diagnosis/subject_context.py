@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from wrapjax.calibration.calibration import Calibration
 from wrapjax.calibration.objective import Objective
 from wrapjax.diagnosis.context import AtBound, ChangesOfCycles, Context, MeasuredChange, PathChanges
-from wrapjax.diagnosis.effects.catalogue import DEFINITIONS
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.effect import EffectSizes
 from wrapjax.diagnosis.recorded_inputs.read_movement import read_recorded_movement
 from wrapjax.diagnosis.recorded_inputs.recorded_movement import RecordedMovement
@@ -60,7 +60,7 @@ def compute_measured_changes(movement: RecordedMovement) -> dict[str, dict[str, 
     """
     return {
         definition.id: changes
-        for definition in DEFINITIONS
+        for definition in CATALOGUE.values()
         if definition.moment_derivatives is not None
         and (
             changes := {
@@ -86,7 +86,7 @@ def compute_path_changes(
     """
     return {
         definition.id: changes
-        for definition in DEFINITIONS
+        for definition in CATALOGUE.values()
         if definition.id in measured
         and definition.path_derivatives is not None
         and (changes := definition.path_derivatives(recorded))

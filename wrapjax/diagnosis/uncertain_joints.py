@@ -21,7 +21,7 @@ from wrapjax.calibration.uncertainty.posterior import (
     physical_units,
     posterior,
 )
-from wrapjax.diagnosis.effects.catalogue import DEFINITIONS
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.definition import FROM_MARKERS, JointPlace
 from wrapjax.diagnosis.effects.effect import Effect, EffectParameter, Effects
 from wrapjax.diagnosis.input import DiagnosisInput, phase_frames
@@ -220,7 +220,7 @@ def _uncertain_places(
     data: DiagnosisInput, linearized: LinearizedModel, variables: Float[np.ndarray, " variable"]
 ) -> list[_UncertainPlace]:
     found = []
-    for definition in DEFINITIONS:
+    for definition in CATALOGUE.values():
         effect = data.calibration_effects.get(definition.id)
         if effect is None or not definition.joint_places:
             continue

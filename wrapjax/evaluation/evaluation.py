@@ -22,7 +22,7 @@ from wrapjax.jax_setup import require_float64
 from wrapjax.model.alteration import tendon_alterations
 from wrapjax.model.forward import muscle_states
 from wrapjax.model.parameters import ModelParameters
-from wrapjax.muscle.curves import HILL_CURVES
+from wrapjax.muscle.curves import hill_curves
 from wrapjax.path_sources.exact import WRAPPINGS, build_engine, recorded_motion
 from wrapjax.path_sources.model_inputs import recording, surrogate_paths
 from wrapjax.path_sources.undriven_muscles import drive_by_synergies
@@ -143,7 +143,7 @@ def evaluate(run: Run | str | Path, subject: Subject | str | Path) -> Evaluation
         paths = surrogate_paths(run.paths, subject, trials)
         parameters = run.parameters(subject.muscles.names, paths.modes_count)
     states = eqx.filter_jit(muscle_states)(
-        HILL_CURVES[run.curves],
+        hill_curves(run.curves),
         parameters,
         recording(subject, trials, paths),
         tendon_alterations(run.tendon, len(subject.muscles.names)),

@@ -20,6 +20,7 @@ from wrapjax.io.json_and_arrays import load_arrays, load_json
 from wrapjax.io.storage import Storage, read_storage
 from wrapjax.model.freedom import synergy_labels
 from wrapjax.model.parameters import QUANTITIES, ModelParameters, with_muscle_law
+from wrapjax.muscle.curves import HILL_CURVES
 from wrapjax.muscle.published_laws import GIVEN_LAW
 from wrapjax.subject.subject import Subject, load_subject
 from wrapjax.subject.synergies import Synergies, SynergyBasis
@@ -161,6 +162,10 @@ def load_run(folder: str | Path) -> Run:
         if source is None:
             message = "does not say where the run's paths came from: it is from an earlier version"
             raise InputError(Problem(str(folder / "settings.json"), message, hint=_RECALIBRATE))
+        if settings["curves"] not in HILL_CURVES:
+            message = f"the run uses muscle curves '{settings['curves']}', which are not defined here"
+            hint = "add them to wrapjax.muscle.curves.HILL_CURVES in Python, and go on there"
+            raise InputError(Problem(str(folder / "settings.json"), message, hint=hint))
         synergies = _read_synergies(settings.get("synergies"))
         values, wraps, weights = _read_parameters(folder / "parameters.csv", muscles, synergies)
         return Run(

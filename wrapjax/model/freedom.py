@@ -33,7 +33,8 @@ class FreedParameter:
     Raises
     ------
     ValueError
-        If there is no such parameter, or a lower bound is above its upper bound.
+        If there is no such parameter, an entry is no array with one value a muscle, or a lower bound is above
+        its upper bound.
     """
 
     name: str
@@ -46,6 +47,9 @@ class FreedParameter:
     def __post_init__(self):
         if self.name not in QUANTITIES:
             raise ValueError(f"'{self.name}' is no model parameter; there are {', '.join(QUANTITIES)}")
+        for field in ("lower", "upper", "scale", "prior_mean", "prior_sd"):
+            if np.ndim(getattr(self, field)) != 1:
+                raise ValueError(f"{self.name}: {field}: expected an array with one value a muscle")
         if not (self.lower <= self.upper).all():
             raise ValueError(f"{self.name}: a lower bound is above its upper bound")
 
@@ -214,7 +218,7 @@ class Freedom:
     Raises
     ------
     ValueError
-        If both path modes and wraps are freed.
+        If both path modes and wraps are freed, or a parameter twice.
     """
 
     name: str
@@ -226,7 +230,10 @@ class Freedom:
 
     def __post_init__(self):
         if self.paths is not None and self.wraps is not None:
-            raise ValueError("either the modes of paths or their cylinders can be free, not both")
+            raise ValueError("either the modes of paths or their wraps can be free, not both")
+        names = [parameter.name for parameter in self.parameters]
+        if twice := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
+            raise ValueError(f"{', '.join(twice)}: freed twice")
 
     @property
     def moving_paths(self) -> Bool[np.ndarray, " muscle"] | None:
@@ -236,7 +243,16 @@ class Freedom:
         return None if self.wraps is None else np.asarray((self.wraps.places >= 0).any(axis=1))
 
     def without(self, names: Sequence[str]) -> Freedom:
-        """Return the freedom with the named scalar parameters held."""
+        """Return the freedom with the named scalar parameters held.
+
+        Raises
+        ------
+        ValueError
+            If one of them is not free.
+        """
+        free = [parameter.name for parameter in self.parameters]
+        if unknown := [name for name in names if name not in free]:
+            raise ValueError(f"{', '.join(unknown)}: not free; free are {', '.join(free)}")
         kept = tuple(parameter for parameter in self.parameters if parameter.name not in names)
         return replace(self, parameters=kept)
 

@@ -65,7 +65,7 @@ _THIRD_BUMP = [0.1, 1.0, 0.5 * np.sqrt(0.5), 0.0]
 
 #: Hill curves by name: ``paper`` as in the NMSM Pipeline until 2026, used for the published results;
 #: ``opensim`` its later refit "consistent with OpenSim". They differ by less than 6e-4.
-HILL_CURVES: dict[str, HillCurves] = {
+HILL_CURVES: dict[str, AbstractCurves] = {
     "paper": HillCurves(
         active_bumps=np.array(
             [
@@ -107,3 +107,19 @@ HILL_CURVES: dict[str, HillCurves] = {
         passive=_PASSIVE,
     ),
 }
+
+
+def hill_curves(name: str) -> AbstractCurves:
+    """Return the curves of a name.
+
+    Raises
+    ------
+    ValueError
+        If `HILL_CURVES` has no such name, as in another process than the one that added it.
+    """
+    if name not in HILL_CURVES:
+        raise ValueError(
+            f"there are no curves '{name}'; there are {', '.join(HILL_CURVES)}, and curves of your own once "
+            "they are in wrapjax.muscle.curves.HILL_CURVES of this process"
+        )
+    return HILL_CURVES[name]

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.optimize import least_squares
 
-from wrapjax.muscle.curves import HILL_CURVES
+from wrapjax.muscle.curves import hill_curves
 from wrapjax.muscle.personal_law import LAW_NAMES, LAW_PARAMETERS, PersonalCurves, personal_shape
 
 Curve = Callable[[Float[Array | np.ndarray, "*shape"]], Float[Array, "*shape"]]
@@ -139,14 +139,16 @@ def nearest_law(name: str, curves: str = "paper") -> Float[np.ndarray, " law_par
     Raises
     ------
     KeyError
-        If the name or the curves are unknown.
+        If the name is unknown.
+    ValueError
+        If the curves are unknown.
     """
     return np.array(_nearest(name, curves))
 
 
 @cache
 def _nearest(name: str, curves: str) -> tuple[float, ...]:
-    law, given = PUBLISHED_LAWS[name], HILL_CURVES[curves]
+    law, given = PUBLISHED_LAWS[name], hill_curves(curves)
     sd = np.array([one.prior_sd for one in LAW_PARAMETERS])
     lower, upper = (np.array([getattr(one, end) for one in LAW_PARAMETERS]) for end in ("lower", "upper"))
     targets = [

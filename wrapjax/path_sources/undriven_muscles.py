@@ -17,7 +17,7 @@ from wrapjax.geometry.paths import PathState
 from wrapjax.io.model_file import read_model_file
 from wrapjax.model.freedom import Freedom, with_synergies
 from wrapjax.model.parameters import ModelParameters, initial_parameters
-from wrapjax.muscle.curves import HILL_CURVES, AbstractCurves
+from wrapjax.muscle.curves import AbstractCurves, hill_curves
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.exact import recorded_motion
 from wrapjax.subject.muscle_groups import activation_groups, fiber_length_groups, group_by_excitation
@@ -70,7 +70,7 @@ def build_undriven_muscles(
     muscles = UndrivenMuscles(
         names=names,
         groups=group_by_excitation(names),
-        curves=HILL_CURVES[curves],
+        curves=hill_curves(curves),
         parameters=initial_parameters(
             own.max_isometric_force,
             own.optimal_fiber_length,

@@ -56,8 +56,8 @@ from wrapjax.diagnosis.effects.unrecorded_excitation import (
 )
 from wrapjax.errors import InputError, Problem, nearest_name
 
-#: Definitions of all effects. Several effects at once alter a stage of the model in this order.
-DEFINITIONS: tuple[EffectDefinition, ...] = (
+# Definitions of all effects. Several effects at once alter a stage of the model in this order.
+_DEFINITIONS = (
     TENDON_COMPLIANCE,
     SLOW_FIBERS,
     ACTIVATION_DEPENDENT_FIBER_LENGTH,
@@ -103,8 +103,35 @@ DEFINITIONS: tuple[EffectDefinition, ...] = (
     KNEE_LAXITY,
     JOINT_CENTER_SPREAD,
 )
-#: The same by identifier, in the same order.
-CATALOGUE: dict[str, EffectDefinition] = {definition.id: definition for definition in DEFINITIONS}
+#: Definitions of all effects by identifier, in this order; `register_effect` adds to them.
+CATALOGUE: dict[str, EffectDefinition] = {definition.id: definition for definition in _DEFINITIONS}
+# Identifiers that mean something else in a result.
+_RESERVED = ("none", "unknown", "none_of_these")
+
+
+def register_effect(definition: EffectDefinition) -> None:
+    """Add an effect of one's own to the catalogue, so that every later diagnosis of this process tests it.
+
+    Results and reports find an effect's meaning and family by its identifier. Commands run in a process of
+    their own and do not know the effect. The constants of the decision were fitted without it.
+
+    Parameters
+    ----------
+    definition
+        Definition of the effect. It replaces one of the same identifier that was registered before.
+
+    Raises
+    ------
+    ValueError
+        If the identifier is no Python identifier, or that of an effect of this package; or if there is no
+        such family.
+    """
+    id = definition.id
+    if not id.isidentifier() or id in _RESERVED or id in {one.id for one in _DEFINITIONS}:
+        raise ValueError(f"'{id}' cannot name an effect of one's own: it is taken, or no identifier")
+    if definition.family not in FAMILIES:
+        raise ValueError(f"{id}: there is no family '{definition.family}'; there are {', '.join(FAMILIES)}")
+    CATALOGUE[id] = definition
 
 
 def catalogue(context: Context, without: Sequence[str] = ()) -> tuple[Effect | NotTestable, ...]:
@@ -123,7 +150,7 @@ def catalogue(context: Context, without: Sequence[str] = ()) -> tuple[Effect | N
         If an effect to be left out is not in the catalogue.
     """
     refuse_unknown(without)
-    return tuple(definition.build(context) for definition in DEFINITIONS if definition.id not in without)
+    return tuple(one.build(context) for id, one in CATALOGUE.items() if id not in without)
 
 
 def refuse_unknown(ids: Sequence[str]) -> None:
@@ -144,7 +171,7 @@ def effect_meanings() -> dict[str, str]:
     dict
         What differs in the person or the recording, a clause, by identifier of the effect.
     """
-    return {definition.id: definition.meaning for definition in DEFINITIONS}
+    return {definition.id: definition.meaning for definition in CATALOGUE.values()}
 
 
 def available_effects(entries: Sequence[Effect | NotTestable]) -> tuple[Effect, ...]:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrapjax.diagnosis.effects.catalogue import DEFINITIONS
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.definition import EffectDefinition, RepeatedParameter
 from wrapjax.diagnosis.effects.effect import FAMILIES, EffectParameter
 
@@ -28,11 +28,11 @@ def effect_tables() -> str:
     families = _markdown_table(("family", "meaning"), ((f"`{id}`", text) for id, text in FAMILIES.items()))
     effects = _markdown_table(
         ("effect", "meaning", "family", "needs", "experiment that shows it"),
-        (_effect_row(definition) for definition in DEFINITIONS),
+        (_effect_row(definition) for definition in CATALOGUE.values()),
     )
     parameters = _markdown_table(
         ("effect", "parameters", "unit", "prior SD", "usual SD", "limits", "source of the prior"),
-        (row for definition in DEFINITIONS for row in _parameter_rows(definition)),
+        (row for definition in CATALOGUE.values() for row in _parameter_rows(definition)),
     )
     return f"{families}\n\n{effects}\n\n{parameters}"
 
