@@ -24,9 +24,9 @@ MUSCLES = {
 }
 
 
-@pytest.fixture(scope="module")
-def two_links(tmp_path_factory):
-    """Model of a thigh and a shank with two pin joints and two muscles."""
+@pytest.fixture(scope="module", params=["Millard2012EquilibriumMuscle", "Thelen2003Muscle"])
+def two_links(request, tmp_path_factory):
+    """Model of a thigh and a shank with two pin joints and two muscles of one class."""
     opensim.Logger.setLevelString("Off")
     model = opensim.Model()
     bodies = [model.getGround()]
@@ -43,7 +43,7 @@ def two_links(tmp_path_factory):
         joint.updCoordinate().setName(name)
         model.addJoint(joint)
     for name, points in MUSCLES.items():
-        muscle = opensim.Millard2012EquilibriumMuscle(name, 100.0, 0.1, 0.2, 0.0)
+        muscle = getattr(opensim, request.param)(name, 100.0, 0.1, 0.2, 0.0)
         for number, (body, where) in enumerate(points):
             muscle.addNewPathPoint(f"{name}-{number}", bodies[body], opensim.Vec3(*where))
         model.addForce(muscle)

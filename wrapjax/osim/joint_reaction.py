@@ -20,6 +20,10 @@ from wrapjax.osim.model import elements, unknown_names
 from wrapjax.osim.motion import Motion, Mover
 
 
+# Classes of OpenSim whose activation and tendon dynamics can be left out; Thelen's refuses it.
+_MAY_IGNORE_DYNAMICS = ("DeGrooteFregly2016Muscle", "Millard2012EquilibriumMuscle")
+
+
 class JointReactions(NamedTuple):
     """Forces and moments that the two bodies of joints exert on each other.
 
@@ -144,11 +148,16 @@ def _check_names(
 
 
 def _keep_muscles(model: Any, muscles: Sequence[str]) -> list[Any]:
-    """Disable all forces but the given muscles, and the activation and tendon dynamics of these."""
+    """Disable all forces but the given muscles, and the activation and tendon dynamics of these if possible.
+
+    Their forces are given, so that dynamics have no influence, but would be states of the system.
+    """
     for force in elements(model.getForceSet()):
         force.set_appliesForce(force.getName() in muscles)
     selected = [model.getMuscles().get(name) for name in muscles]
     for muscle in selected:
+        if muscle.getConcreteClassName() not in _MAY_IGNORE_DYNAMICS:
+            continue
         muscle.set_ignore_activation_dynamics(True)
         muscle.set_ignore_tendon_compliance(True)
     return selected
