@@ -44,6 +44,8 @@ def prepared(run, laboratory, tmp_path_factory):
 def test_the_folder_is_a_subject(run, prepared):
     outcome, folder = prepared
     assert outcome.status == 0, outcome.progress
+    assert "no cycle is kept back for validation" in outcome.output
+    assert ", from markers, ground forces and raw EMG." in (folder / "report.html").read_text()
     # OpenSim must not print into the output.
     assert "MODEL" not in outcome.output and "inverse kinematics" in outcome.progress
     assert run("check", folder).status == 0
@@ -242,6 +244,18 @@ def _misspelt(settings):
     walker.replace_text(settings, ("Sol =", "Soll ="))
 
 
+def _misspelt_muscle(settings):
+    walker.replace_text(settings, ('RF = ["recfem_l"]', 'RF = ["rectfem_l"]'))
+
+
+def _without_unit(settings):
+    walker.replace_text(settings, ('unit = "V"', ""))
+
+
+def _without_forces(settings):
+    walker.replace_text(settings, ('forces = "forces.mot"\n', ""))
+
+
 def _elsewhere(settings):
     walker.replace_text(settings, ('body = "calcn_r"', 'body = "calc_r"'))
 
@@ -279,6 +293,12 @@ PLANTED = {
     "EMG of the other leg": (_other_leg, ["emg.sto", "timing of EMG channel Sol", "on the other leg"]),
     "angles in degrees": (_degrees, ["angles.sto", "more than a full turn", "in degrees?"]),
     "misspelt channel": (_misspelt, ["column Soll", "did you mean 'Sol'?"]),
+    "misspelt muscle": (
+        _misspelt_muscle,
+        ["prepare.toml", "[emg.channels] RF", "muscle 'rectfem_l' is not in", "did you mean 'recfem_l'?"],
+    ),
+    "no unit": (_without_unit, ["[emg] unit", "'V' or 'mV' or 'uV'", 'write kind = "envelope"']),
+    "no forces": (_without_forces, ["forces: expected a file of ground forces", 'moments = "FILE"']),
     "plates of a file without": (_plates, ["[forces.r]", "expected force, needed to read"]),
     "the other foot's forces alone": (
         _right_alone,

@@ -155,12 +155,26 @@ def test_recorded_running_is_prepared(run, data_folder, tmp_path):
     settings.write_text(RUNNER.format(source=source))
     outcome = run("prepare", settings, "--out", tmp_path / "out")
     assert outcome.status == 0, outcome.progress
-    assert "gait with flight phases" in outcome.output
+    assert "gait with flight phases" in outcome.output and "exchanged?" not in outcome.output
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert ", from joint angles, ground forces and EMG envelopes." in page
+    # A temporary name of the folder.
+    assert ".part" not in page
     trials = load_subject(tmp_path / "out").trials
     durations = trials.time[:, -1] - trials.time[:, 0]
     assert len(trials) >= 11 and np.all((durations > 0.7) & (durations < 0.85))
     # Every cycle begins where the one before ends: none is missing.
     np.testing.assert_allclose(trials.time[1:, 0], trials.time[:-1, -1], atol=1e-9)
+    exchanged = settings.read_text()
+    for old, new in (("forces.l]", "forces.?]"), ("forces.r]", "forces.l]"), ("forces.?]", "forces.r]")):
+        exchanged = exchanged.replace(old, new)
+    for old, new in (("calcn_l", "calcn_?"), ("calcn_r", "calcn_l"), ("calcn_?", "calcn_r")):
+        exchanged = exchanged.replace(old, new)
+    settings.write_text(exchanged)
+    outcome = run("prepare", settings, "--out", tmp_path / "exchanged")
+    assert outcome.status == 0 and "are [forces.l] and [forces.r] exchanged?" in outcome.output
+    again = load_subject(tmp_path / "exchanged").trials
+    np.testing.assert_allclose(again.moments, trials.moments, atol=1e-9)
 
 
 def test_masses_alone_are_scaled_and_it_is_said_what_stays_generic(run, laboratory, tmp_path):

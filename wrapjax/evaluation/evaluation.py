@@ -231,7 +231,7 @@ def _range_notes(paths: PathSurrogate, trials: Trials) -> list[str]:
     center, half = np.asarray(paths.center)[:, None], np.asarray(paths.half_range)[:, None]
     outside = np.abs(trials.angles[:, columns] - center) > (1.0 + _RANGE_TOLERANCE) * half
     return [
-        f"In {100.0 * share:.0f} % of all frames {name} is outside the range that the run's paths were "
+        f"In {100.0 * share:.2g} % of all frames {name} is outside the range that the run's paths were "
         "fitted on, where polynomials are unreliable."
         for name, share in zip(paths.coordinates, outside.mean(axis=(0, 2)).tolist(), strict=True)
         if share > 0.0

@@ -19,7 +19,6 @@ from wrapjax.osim.loading import import_opensim, load_model
 from wrapjax.osim.model import elements, unknown_names
 from wrapjax.osim.motion import Motion, Mover
 
-
 # Classes of OpenSim whose activation and tendon dynamics can be left out; Thelen's refuses it.
 _MAY_IGNORE_DYNAMICS = ("DeGrooteFregly2016Muscle", "Millard2012EquilibriumMuscle")
 

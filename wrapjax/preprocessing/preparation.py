@@ -33,6 +33,11 @@ from wrapjax.subject.subject import (
     mass_looks_like_pounds,
 )
 
+_NONE_KEPT_BACK = (
+    "no cycle is kept back for validation; of one long recording, list some in a second [[trial]] with "
+    'use = "validation"'
+)
+
 
 @dataclass(frozen=True)
 class Preparation:
@@ -80,7 +85,7 @@ class Preparation:
                 file.write_bytes(self.model)
                 write_subject_folder(temporary, self.settings, file, self.trials, self.contractions)
             write_json(temporary / "preparation.json", self.summary())
-            _write_page(temporary, self.tables(), "markers, forces and raw EMG", self.trials)
+            _write_page(temporary, self.tables(), self._sources(), self.trials)
 
     def summary(self) -> dict:
         """Return the content of ``preparation.json``: filters, cycles, checks and notes of each trial."""
@@ -99,6 +104,21 @@ class Preparation:
             },
         }
 
+    def _sources(self) -> str:
+        """Write what the recordings consist of, as 'markers, ground forces and raw EMG'."""
+        given = [prepared.trial for prepared in self.trials]
+        raw = self.settings.emg_kind == "raw"
+        parts = {
+            "markers": any(trial.markers for trial in given),
+            "joint angles": any(trial.angles for trial in given),
+            "ground forces": any(trial.forces for trial in given),
+            "joint moments": any(trial.moments for trial in given),
+            "dynamometers": any(trial.dynamometer for trial in given),
+            "raw EMG" if raw else "EMG envelopes": any(trial.emg for trial in given),
+        }
+        *first, last = [name for name, present in parts.items() if present]
+        return f"{', '.join(first)} and {last}" if first else last
+
     def tables(self) -> tuple[Table, ...]:
         """Return the tables that `wrapjax prepare` prints: trials, checks and notes."""
         trials = tuple(
@@ -110,6 +130,7 @@ class Preparation:
         )
         notes = (
             *(("model", note) for note in self.notes),
+            *([] if "validation" in {use for _, use, *_ in trials} else [("all", _NONE_KEPT_BACK)]),
             *((prepared.trial.name, note) for prepared in self.trials for note in prepared.notes),
         )
         return (
@@ -271,6 +292,18 @@ def _read_model(path: Path, settings: LaboratorySettings) -> PreparationModel:
         for side, foot in settings.feet.items()
         if foot.body not in bodies
     ]
+    muscles = file.muscles.names
+    problems += [
+        Problem(
+            str(settings.file),
+            f"muscle '{name}' is not in the model",
+            f"[emg.channels] {channel}",
+            nearest_name(name, muscles),
+        )
+        for channel, driven in settings.channels.items()
+        for name in driven
+        if name not in muscles
+    ]
     # OpenSim's scale tool sets the mass of a model to that in the settings.
     if settings.scaling is None and not mass_agrees_with_model(settings.mass_kg, file.mass_kg):
         masses = describe_masses(settings.mass_kg, file.mass_kg)
@@ -306,7 +339,10 @@ def _write_page(
         for prepared in trials
         if prepared.forces is not None
     ]
-    page = render_preparation(load_subject(folder), tables, forces, came_from)
+    subject = load_subject(folder)
+    # The folder has its final name later.
+    notes = tuple(note.replace(f"{folder}/", "") for note in subject.notes)
+    page = render_preparation(replace(subject, notes=notes), tables, forces, came_from)
     write_text(folder / "report.html", page)
 
 

@@ -56,6 +56,8 @@ from wrapjax.subject.windows import SETTLING_SECONDS
 
 #: EMG kept before and after the cycles, s, for delays and edge effects of the low-pass filter.
 EMG_MARGIN = 1.5
+# Share of steps on the other foot's plate above which the plates of the two feet seem exchanged.
+_EXCHANGED_SHARE = 0.9
 #: Cut-off frequency of motion and forces of tasks other than gait, Hz.
 TASK_LOW_PASS = 6.0
 #: Prefixes of the names of calf muscles.
@@ -165,6 +167,7 @@ def _prepare_flight_gait(
     notes.append(
         f"gait with flight phases: {len(steps)} steps, each assigned to the foot nearest to the center of "
         f"pressure of all plates; {moved} of them trod the other foot's plate, wholly or in part"
+        + ("; are [forces.l] and [forces.r] exchanged?" if moved > _EXCHANGED_SHARE * len(steps) else "")
     )
     if trial.cycles:
         cycles, dropped = trial.cycles, ()

@@ -243,7 +243,7 @@ def cycles_section(trials: Trials) -> str:
             trials.emg[..., inside],
             trials.channels,
             "EMG",
-            "EMG normalized to its largest value",
+            "EMG (raw EMG normalized to its largest value; envelopes as they were given)",
         ),
     )
     return markup.section(
