@@ -55,7 +55,7 @@ def test_a_failed_gate_leaves_no_name(gates):
 def test_an_implausible_size_is_given_with_its_unit():
     gates = replace(GOOD, plausible=Plausible("cop_offset anterior", -0.06, 0.05, "m"))
     reason = apply_gates(NAMED, gates, ["cop_offset"]).reason
-    assert reason == "cop_offset anterior would have to be -0.06 m; up to 0.05 m is plausible"
+    assert reason == "cop_offset: anterior would have to be -0.06 m; up to 0.05 m is plausible"
 
 
 def test_parts_that_disagree_within_a_family_leave_the_family():

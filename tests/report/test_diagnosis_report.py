@@ -27,6 +27,7 @@ from wrapjax.diagnosis.effects.effect import NotTestable
 from wrapjax.diagnosis.localization import BINS, ErrorBudget
 from wrapjax.diagnosis.noise_floor import Estimate
 from wrapjax.diagnosis.result import EffectSize
+from wrapjax.diagnosis.undriven_capacity import CapacityShare
 from wrapjax.diagnosis.verification import ReleasedParameter
 from wrapjax.io.storage import read_storage
 from wrapjax.report import diagnosis_page
@@ -264,7 +265,7 @@ def test_reasons_have_names_of_effects_as_words():
     sentences = diagnosis_findings(partial())
     assert "With ankle foot orthosis a repeatable error of 3.1 N m is left." in sentences
     (row,) = (figure for name, _, figure, _ in gate_rows(partial()) if name == "plausible")
-    assert row == "ankle foot orthosis dorsiflexion stiffness 4.5; limit 4.5 N m/deg"
+    assert row == "ankle foot orthosis: dorsiflexion stiffness 4.5; limit 4.5 N m/deg"
 
 
 def test_the_page_shows_the_gates(written, subject):
@@ -336,9 +337,25 @@ def test_findings_of_each_outcome():
 
 def test_untested_effects_are_stated():
     others = replace(named(), not_testable=(NotTestable("cop_offset", "no"), NotTestable("sync_lag", "no")))
-    first, second = untested_findings(others)
-    assert first == "Not testable with this recording: cop offset, sync lag."
-    assert "joint damping" in second
+    first, second, third = untested_findings(
+        replace(others, undetectable=(NotTestable("slow_fibers", "too weak"),))
+    )
+    assert first == ("Not testable, as the subject or the recording lacks something: cop offset, sync lag.")
+    assert second == "Not detectable with this recording at the usual size: slow fibers."
+    assert "joint damping" in third
+
+
+def test_a_coordinate_with_few_electrodes_is_stated():
+    result = named()
+    assert not any("Muscles without EMG" in line for line in diagnosis_findings(result))
+    name = result.coordinates[0]
+    few = {**result.undriven_capacity, name: CapacityShare(0.8, 0.7, 0.73)}
+    (line,) = (
+        line
+        for line in diagnosis_findings(replace(result, undriven_capacity=few))
+        if line.startswith("Muscles without EMG")
+    )
+    assert f"(73 % at {name})" in line
 
 
 def test_undetectable_effects_do_not_count_as_tested():

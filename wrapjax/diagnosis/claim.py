@@ -163,9 +163,8 @@ def apply_gates(decision: Decision, gates: Gates, claimed: Sequence[str]) -> Dec
     if gates.plausible is not None and "plausible" in failed:
         size = gates.plausible
         unit = "" if size.unit == "1" else f" {size.unit}"
-        reason = (
-            f"{size.name} would have to be {size.value:.3g}{unit}; up to {size.limit:.3g}{unit} is plausible"
-        )
+        named = size.name.replace(" ", ": ", 1)
+        reason = f"{named} would have to be {size.value:.3g}{unit}; up to {size.limit:.3g}{unit} is plausible"
         return _unknown(decision, claimed, reason)
     if gates.specific is not None and "specific" in failed:
         reason = f"{names} predicts unseen cycles no better than effects without a mechanism do"

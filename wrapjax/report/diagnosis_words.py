@@ -24,6 +24,11 @@ from wrapjax.report.formatting import counted, readable
 LEAST_SHOWN = 0.005
 #: Evidence (nats) from which what other tasks add is told.
 LEAST_ADDED = 1.0
+#: Why errors differ from those of a calibration.
+OF_THE_PERSONS_LAW = (
+    "The model has the person's own muscle law, which a diagnosis fits, so that a calibration with a given "
+    "law has other errors."
+)
 #: Outcomes without a conclusion on effects.
 INCONCLUSIVE = ("insufficient_data", "not_converged")
 # Width of the text, and number of effects that it lists.
@@ -41,7 +46,7 @@ def diagnosis_findings(result: DiagnosisResult) -> list[str]:
     if result.outcome in INCONCLUSIVE:
         return [_outcome_finding(result), *reason]
     first = f"{_explainable_finding(result.explainable_share)} {_outcome_finding(result)}"
-    sentences = [first, *reason, *_meanings(result)]
+    sentences = [first, *reason, *_meanings(result), *_without_electrodes(result)]
     sentences += [
         *_shrinkage_findings(result),
         *_error_findings(result),
@@ -59,9 +64,12 @@ def diagnosis_findings(result: DiagnosisResult) -> list[str]:
 def untested_findings(result: DiagnosisResult) -> list[str]:
     """Write sentences on the effects that the diagnosis could not test or did not include."""
     sentences = []
-    if untested := (*result.not_testable, *result.undetectable):
-        names = effect_list(effect.id for effect in untested)
-        sentences.append(f"Not testable with this recording: {names}.")
+    for lacking, effects in (
+        ("Not testable, as the subject or the recording lacks something", result.not_testable),
+        ("Not detectable with this recording at the usual size", result.undetectable),
+    ):
+        if effects:
+            sentences.append(f"{lacking}: {effect_list(effect.id for effect in effects)}.")
     if result.withheld:
         sentences.append(
             f"Withheld on request: {effect_list(result.withheld)}. If the model lacks a withheld effect, the "
@@ -106,7 +114,7 @@ def gate_rows(result: DiagnosisResult) -> list[tuple[str, str, str, str]]:
             (
                 "plausible",
                 "Are all effect sizes within their published ranges and three standard deviations?",
-                f"{readable(size.name)} {size.value:.3g}; limit {size.limit:.3g}"
+                f"{readable(size.name.replace(' ', ': ', 1))} {size.value:.3g}; limit {size.limit:.3g}"
                 + ("" if size.unit == "1" else f" {size.unit}"),
                 size.passed,
             )
@@ -220,7 +228,7 @@ def _outcome_finding(result: DiagnosisResult) -> str:
     if result.outcome == "unknown":
         part = effect_names(result.best_partial)
         partly = f" {part[:1].upper()}{part[1:]} explains a part of it." if part else ""
-        return f"Not decided: none of {among} explains the error well enough to be named.{partly}"
+        return f"Not decided (unknown): none of {among} explains the error well enough to be named.{partly}"
     if result.outcome == "none":
         return (
             "The error does not exceed that expected without any effect (probability of no effect "
@@ -251,6 +259,20 @@ def effect_meaning(id: str) -> str:
 def _meanings(result: DiagnosisResult) -> list[str]:
     ids = dict.fromkeys([*result.named, *(id for tie in result.ties for id in tie)])
     return [effect_meaning(id) for id in ids]
+
+
+def _without_electrodes(result: DiagnosisResult) -> list[str]:
+    """Write at which coordinates muscles without EMG have most of the capacity."""
+    shares = {
+        name: share.both for name, share in result.undriven_capacity.items() if not share.has_emg_for_most
+    }
+    if not shares:
+        return []
+    listed = ", ".join(f"{100.0 * share:.0f} % at {name}" for name, share in shares.items())
+    return [
+        f"Muscles without EMG have most of the moment capacity ({listed}): the error there says little about "
+        "other effects."
+    ]
 
 
 def _other_tasks_findings(result: DiagnosisResult) -> list[str]:
@@ -391,4 +413,4 @@ def _error_lines(result: DiagnosisResult) -> list[str]:
     ]
     for name in (*result.coordinates, "mean"):
         lines.append(f"{name:{width}s}" + "".join(f"{errors[model][name]:10.2f}" for model in columns))
-    return lines
+    return [*lines, textwrap.fill(OF_THE_PERSONS_LAW, _WIDTH)]
