@@ -130,5 +130,5 @@ def require_float64() -> None:
     if not jax.config.read("jax_enable_x64"):
         raise RuntimeError(
             "wrapjax calculates in 64 bits, and JAX is set to 32: "
-            'call jax.config.update("jax_enable_x64", True) before the first JAX operation'
+            "call wrapjax.set_up_jax() before the first JAX operation"
         )

@@ -136,7 +136,7 @@ def test_unknown_method(person, paths):
 
 @pytest.mark.parametrize("call", [fit, calibrate, objective])
 def test_single_precision_is_refused(person, call):
-    with jax.enable_x64(False), pytest.raises(RuntimeError, match=r"64 bits.*jax_enable_x64"):
+    with jax.enable_x64(False), pytest.raises(RuntimeError, match=r"64 bits.*set_up_jax"):
         call(person)
 
 

@@ -11,7 +11,7 @@ from wrapjax.io.files import write_text
 
 
 def redraw(folder: str | Path) -> Path:
-    """Render the report of a stored result again, or an index of the results in a folder.
+    """Render the report of an evaluation or a cohort again, or an index of results.
 
     Parameters
     ----------
@@ -55,7 +55,9 @@ def redraw(folder: str | Path) -> Path:
 def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     """Add the command to the parser."""
     report = command(
-        "report", run, "Render the report of a stored result again, or an index of the results in a folder."
+        "report",
+        run,
+        "Render the report of an evaluation or a cohort again, or an index of all results in a folder.",
     )
     report.add_argument(
         "folder",
