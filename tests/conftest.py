@@ -52,10 +52,7 @@ def cache(tmp_path_factory):
 
 
 def pytest_sessionstart():
-    """Compile quickly, as most programs of tests run once; not sooner, for jaxtyping must be there first.
-
-    Processes that tests start inherit the level.
-    """
+    """Compile as commands do; not sooner, for jaxtyping wants to be there before any of the package."""
     from wrapjax.jax_setup import (
         choose_compiler_options,
         collect_garbage_less_often,
@@ -64,7 +61,7 @@ def pytest_sessionstart():
 
     keep_freed_memory()
     collect_garbage_less_often()
-    choose_compiler_options(level=0)
+    choose_compiler_options()
 
 
 @pytest.fixture(scope="session", autouse=True)

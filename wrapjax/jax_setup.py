@@ -16,7 +16,7 @@ THREAD_VARIABLES = ("NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 #: XLA options by the series of jaxlib that they were tested with: XLA ends the process on an unknown option.
 _COMPILER_OPTIONS = {
-    "0.10": ("--xla_cpu_use_fusion_emitters=false", "--xla_backend_optimization_level={level}"),
+    "0.10": ("--xla_cpu_use_fusion_emitters=false", "--xla_backend_optimization_level=1"),
 }
 
 #: New objects, and collections of younger ones, after which Python searches for unused cycles.
@@ -29,21 +29,17 @@ def set_threads(count: int) -> None:
         os.environ[variable] = str(count)
 
 
-def choose_compiler_options(level: int = 1) -> None:
+def choose_compiler_options() -> None:
     """Select the faster of XLA's two compilers for processors; call it before the first JAX operation.
 
-    Compiled programs run as fast as by XLA's own options (``python -m benchmarks --only compile``). Options
-    that the user has set in ``XLA_FLAGS`` are kept.
-
-    Parameters
-    ----------
-    level
-        Level of LLVM's optimization, of which XLA's own is 3. Programs of level 1 run as fast as those of
-        level 3; level 0 compiles in half the time of level 1 programs that take up to twice as long.
+    Compiled programs run as fast as by XLA's own options (``python -m benchmarks --only compile``). LLVM's
+    level 0 would halve the time again, but its programs take up to twice as long, and some return NaN.
+    Options that the user has set in ``XLA_FLAGS`` are kept.
     """
     series = version("jaxlib").rsplit(".", 1)[0]
-    options = (option.format(level=level) for option in _COMPILER_OPTIONS.get(series, ()))
-    added = [option for option in options if option.split("=")[0] not in _xla_flags()]
+    added = [
+        option for option in _COMPILER_OPTIONS.get(series, ()) if option.split("=")[0] not in _xla_flags()
+    ]
     if added:
         os.environ["XLA_FLAGS"] = " ".join([_xla_flags(), *added]).strip()
 
