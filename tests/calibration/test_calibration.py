@@ -134,6 +134,12 @@ def test_unknown_method(person, paths):
         calibrate(person, "XGA", paths)
 
 
+@pytest.mark.parametrize("call", [calibrate, build_objective])
+def test_unknown_curves(person, paths, call):
+    with pytest.raises(ValueError, match=r"there are no curves 'papier'; there are paper, opensim"):
+        call(person, "NGA", paths, curves="papier")
+
+
 @pytest.mark.parametrize("call", [fit, calibrate, objective])
 def test_single_precision_is_refused(person, call):
     with jax.enable_x64(False), pytest.raises(RuntimeError, match=r"64 bits.*set_up_jax"):

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from wrapjax.evaluation.evaluation import evaluate
 from wrapjax.evaluation.stored_run import load_run
 from wrapjax.io.storage import read_storage
 from wrapjax.model.parameters import QUANTITIES
+from wrapjax.muscle.curves import HILL_CURVES
 from wrapjax.subject.subject import load_subject
 
 
@@ -29,6 +31,16 @@ def folder(calibrated, tmp_path_factory):
 def damaged(folder, tmp_path):
     """Copy of the folder that may be modified."""
     return shutil.copytree(folder, tmp_path / "run")
+
+
+def test_a_run_with_curves_of_another_process_says_what_to_do(calibrated, tmp_path, monkeypatch):
+    monkeypatch.setitem(HILL_CURVES, "own", HILL_CURVES["paper"])
+    result = replace(calibrated.result, curves="own")
+    replace(calibrated, result=result).save(tmp_path / "run")
+    assert load_run(tmp_path / "run").curves == "own"
+    monkeypatch.delitem(HILL_CURVES, "own")
+    with pytest.raises(InputError, match=r"curves 'own', which are not defined here.*HILL_CURVES"):
+        load_run(tmp_path / "run")
 
 
 def test_a_run_is_read_exactly(folder, calibrated):

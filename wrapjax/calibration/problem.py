@@ -348,7 +348,13 @@ def build_leg_setups(
 
 @dataclass(frozen=True)
 class MuscleOptions:
-    """Muscle model of a calibration: names of the Hill curves, the kind of tendon and the muscle law."""
+    """Muscle model of a calibration: names of the Hill curves, the kind of tendon and the muscle law.
+
+    Raises
+    ------
+    ValueError
+        If there are no such curves.
+    """
 
     curves: str = "paper"
     tendon: str = "rigid"
@@ -363,8 +369,10 @@ def calibration_fingerprint(
 ) -> str:
     """Compute the fingerprint of a calibration."""
     # Curves of one's own may change under one name.
-    curves = content_hash(*map(np.asarray, jax.tree.leaves(hill_curves(options.curves))))
-    inputs = (*map(_hash_of_leg, legs), repr((solver, options, starts, seed)), curves)
+    curves = hill_curves(options.curves)
+    coefficients = map(np.asarray, jax.tree.leaves(eqx.filter(curves, eqx.is_array_like)))
+    muscle_model = content_hash(str(type(curves)), *coefficients)
+    inputs = (*map(_hash_of_leg, legs), repr((solver, options, starts, seed)), muscle_model)
     return fingerprint(*inputs, module="wrapjax.calibration.calibration")
 
 

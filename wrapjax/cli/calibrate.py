@@ -268,8 +268,8 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         "--solver",
         choices=["lm", "lbfgs"],
         default="lm",
-        help="lm, Levenberg-Marquardt (default); lbfgs, L-BFGS of jaxopt (an extra of "
-        "the package), a slower check of the former",
+        help="lm, Levenberg-Marquardt (default); lbfgs, L-BFGS of jaxopt (an extra of the package), a slower "
+        "check of the former",
     )
     calibrate.add_argument(
         "--uncertainty",
