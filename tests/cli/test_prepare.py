@@ -298,7 +298,7 @@ PLANTED = {
         ["prepare.toml", "[emg.channels] RF", "muscle 'rectfem_l' is not in", "did you mean 'recfem_l'?"],
     ),
     "no unit": (_without_unit, ["[emg] unit", "'V' or 'mV' or 'uV'", 'write kind = "envelope"']),
-    "no forces": (_without_forces, ["forces: expected a file of ground forces", 'moments = "FILE"']),
+    "no forces": (_without_forces, ["forces: expected text, found nothing", 'moments = "FILE"']),
     "plates of a file without": (_plates, ["[forces.r]", "expected force, needed to read"]),
     "the other foot's forces alone": (
         _right_alone,

@@ -141,18 +141,23 @@ class TableReader:
         """Return whether the table has the key."""
         return key in self._table
 
-    def _take(self, key: str, required: bool, expected: str) -> Any:
+    def _take(self, key: str, required: bool, expected: str, hint: str = "") -> Any:
         self._known.append(key)
         if key not in self._table:
             if required and not self.silent:
-                self.add_problem(key, f"expected {expected}, found nothing")
+                self.add_problem(key, f"expected {expected}, found nothing", hint)
             return None
         return self._table[key]
 
-    def text(self, key: str, *, required: bool = True, choices: tuple[str, ...] = ()) -> str | None:
-        """Read a text that is not empty; if there are choices, one of them."""
+    def text(
+        self, key: str, *, required: bool = True, choices: tuple[str, ...] = (), if_missing: str = ""
+    ) -> str | None:
+        """Read a text that is not empty; if there are choices, one of them.
+
+        ``if_missing`` is a hint for where there is none and one is required.
+        """
         expected = " or ".join(f"'{choice}'" for choice in choices) or "text"
-        value = self._take(key, required, expected)
+        value = self._take(key, required, expected, if_missing)
         if value is None:
             return None
         if not isinstance(value, str) or not value.strip() or (choices and value not in choices):

@@ -222,10 +222,12 @@ def read_laboratory_settings(file: Path) -> LaboratorySettings:
 
     emg = TableReader(top.table("emg"), file, "[emg]", problems)
     kind = emg.text("kind", required=False, choices=("raw", "envelope")) or "raw"
-    unit = emg.text("unit", required=False, choices=tuple(VOLTS_PER_UNIT))
-    if kind == "raw" and not emg.has("unit") and not emg.silent:
-        message = f"expected {' or '.join(map(repr, VOLTS_PER_UNIT))}, found nothing"
-        emg.add_problem("unit", message, 'of envelopes, write kind = "envelope" in its place')
+    unit = emg.text(
+        "unit",
+        required=kind == "raw",
+        choices=tuple(VOLTS_PER_UNIT),
+        if_missing='of envelopes, write kind = "envelope" in its place',
+    )
     gain = emg.number("gain", lowest=1e-3, highest=1e7, unit="", required=False)
     if kind == "envelope" and (emg.has("unit") or emg.has("gain")):
         emg.add_problem(
@@ -277,9 +279,11 @@ def read_laboratory_settings(file: Path) -> LaboratorySettings:
     )
 
 
-def existing_file(reader: TableReader, key: str, *, required: bool = True) -> Path | None:
+def existing_file(
+    reader: TableReader, key: str, *, required: bool = True, if_missing: str = ""
+) -> Path | None:
     """Read the path of a file, which may be outside the folder of the settings, and check that it exists."""
-    value = reader.text(key, required=required)
+    value = reader.text(key, required=required, if_missing=if_missing)
     return None if value is None else _file_beside(reader, key, value)
 
 
@@ -365,10 +369,8 @@ def _read_trial(table: object, number: int, file: Path, problems: list[Problem])
     )
     if moments_low_pass is not None and not given:
         reader.add_problem("moments_low_pass_hz", "states the filter of moments, of which no file is given")
-    forces = existing_file(reader, "forces", required=False)
-    if forces is None and not given and not reader.has("forces"):
-        hint = 'or state moments = "FILE", the laboratory\'s inverse dynamics, with the cycles'
-        reader.add_problem("forces", "expected a file of ground forces, found nothing", hint)
+    instead = 'or state moments = "FILE", the laboratory\'s inverse dynamics, with the cycles'
+    forces = existing_file(reader, "forces", required=not given, if_missing=instead)
     at_rest = task == "passive" and not reader.has("emg")
     emg = None if at_rest else existing_file(reader, "emg")
     if task != GAIT:

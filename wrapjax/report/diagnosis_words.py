@@ -24,8 +24,8 @@ from wrapjax.report.formatting import counted, readable
 LEAST_SHOWN = 0.005
 #: Evidence (nats) from which what other tasks add is told.
 LEAST_ADDED = 1.0
-#: Why errors differ from those of a calibration.
-OF_THE_PERSONS_LAW = (
+# Why errors differ from those of a calibration.
+_OWN_LAW = (
     "The model has the person's own muscle law, which a diagnosis fits, so that a calibration with a given "
     "law has other errors."
 )
@@ -413,4 +413,4 @@ def _error_lines(result: DiagnosisResult) -> list[str]:
     ]
     for name in (*result.coordinates, "mean"):
         lines.append(f"{name:{width}s}" + "".join(f"{errors[model][name]:10.2f}" for model in columns))
-    return [*lines, textwrap.fill(OF_THE_PERSONS_LAW, _WIDTH)]
+    return [*lines, textwrap.fill(_OWN_LAW, _WIDTH)]
