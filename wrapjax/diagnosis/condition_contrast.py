@@ -5,35 +5,26 @@ condition less that of the second. Errors of the model that are the same in both
 parameters, of muscle forces in similar states, and any error that repeats in both. What is left is what
 differs, and an effect of one condition alone changes the contrast by its mean signature there.
 
+The test is given the mean of both conditions, see `wrapjax.diagnosis.contrast_nulls`.
+
 Under the null hypothesis that nothing differs, cycles of a speed are exchangeable between the conditions. The
 detection threshold is therefore that of the strongest evidence for any effect in contrasts of randomly
 reassigned cycles. Their deviations from the mean of their own condition are reassigned, so that a difference
-that is present does not raise the threshold (Freedman & Lane 1983, doi:10.2307/1391660).
+that is present does not raise the threshold (Freedman & Lane 1983, doi:10.2307/1391660). The same contrasts
+say how much an effect that explains the difference may leave of it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from wrapjax.diagnosis.contrast_nulls import ContrastNulls, left_by, weighted_sums, with_means
 from wrapjax.diagnosis.effects.effect import Effect, NotTestable
-from wrapjax.diagnosis.error_sources import Matrix, periodic_kernel
 from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
-from wrapjax.diagnosis.null_covariance import (
-    EXPECTED_FORCE_ERROR,
-    EXPECTED_REPEATABLE_ERROR,
-    FORCE_ERRORS,
-    REPEATABLE_ERRORS,
-    REPEATABLE_WIDTH,
-    Null,
-    fixed_covariance,
-    muscle_covariance,
-)
-from wrapjax.diagnosis.score_test import Score, project, score_projected
+from wrapjax.diagnosis.score_test import Score
 from wrapjax.subject.subject import Subject
 
 #: Share of reassignments whose strongest evidence exceeds the detection threshold.
@@ -42,8 +33,12 @@ FALSE_ALARM_RATE = 0.05
 LEAST_THRESHOLD = 3.0
 #: Number of random reassignments of cycles.
 REASSIGNMENTS = 60
-#: Correlation between the conditions of a smooth repeatable error without a name.
-ACROSS_CONDITIONS = 0.95
+#: Relative error of the form of an effect. Effects explain a difference about as well as the strongest if
+#: they have less evidence by at most `TIE` nats more than such an error of the strongest leaves unexplained,
+#: which is twice its square times the evidence.
+FORM_ERROR, TIE = 0.3, 3.0
+#: Least share of the difference that a named effect explains on cycles that its size was not determined on.
+LEAST_EXPLAINED = 0.25
 #: Least power of the difference, in standard deviations by noise of independent phases, for a share of it.
 LEAST_POWER = 3.0
 #: Parts into which the cycles of each condition are divided, to predict each part from the others.
@@ -91,6 +86,10 @@ class Contrast:
         Contribution of the strongest effect to the difference, N m.
     noise
         Standard deviation of the difference by cycle noise alone, N m.
+    left, allowed_left
+        Mean square, in standard deviations of the null hypothesis, of what the strongest effect leaves of the
+        difference, or of the difference itself if no effect is above the threshold; and the most that a
+        reassignment of the cycles leaves.
     """
 
     difference: Float[np.ndarray, "speed coordinate phase"]
@@ -101,6 +100,23 @@ class Contrast:
     explained: float
     predicted: Float[np.ndarray, "speed coordinate phase"]
     noise: Float[np.ndarray, " coordinate"]
+    left: float
+    allowed_left: float
+
+    @property
+    def strongest(self) -> tuple[int, ...]:
+        """Numbers of the scores above the threshold that are not clearly weaker than the strongest."""
+        if not self.scores or self.scores[0].evidence <= self.threshold:
+            return ()
+        most = self.scores[0].evidence
+        least = max(self.threshold, most - TIE - 2.0 * FORM_ERROR**2 * most)
+        return tuple(number for number, one in enumerate(self.scores) if one.evidence > least)
+
+    @property
+    def adequate(self) -> bool:
+        """Whether chance explains what is left, and the strongest effect, if any, holds on other cycles."""
+        confirmed = not self.strongest or self.explained >= LEAST_EXPLAINED
+        return self.left <= self.allowed_left and confirmed
 
 
 def compute_contrast(
@@ -125,25 +141,28 @@ def compute_contrast(
     seed
         Seed of the reassignments and of the division of cycles.
     """
-    covariances = _Covariances(linearized, speeds, measured_moment_sd)
+    nulls = ContrastNulls(linearized, measured_moment_sd)
     generator = np.random.default_rng(seed)
     rows = contrast_rows(speeds, is_first)
-    candidates, directions = _candidates(linearized, rows, is_first)
-    # As the calibration left them: the distance from the prior mean is a part of the null covariance.
+    both = with_means(rows)
+    candidates, directions = _candidates(linearized, both, is_first)
+    # Within conditions: their means do not tell chance from effects.
     deviations = _deviations(linearized.fitted_residual, linearized.speeds)
-    residuals = [_apply(rows, linearized.residual).ravel()]
-    for _ in range(REASSIGNMENTS):
-        assigned = contrast_rows(speeds, _reassigned(speeds, is_first, generator))
-        residuals.append(_apply(assigned, deviations).ravel())
-    projections = [project(np.array(residuals), null, candidates) for null in covariances.nulls(rows)]
-    tests = score_projected(projections, candidates)
+    reassigned = [
+        weighted_sums(contrast_rows(speeds, _reassigned(speeds, is_first, generator)), deviations).ravel()
+        for _ in range(REASSIGNMENTS)
+    ]
+    residual = weighted_sums(both, linearized.residual).ravel()
+    tests, given = nulls.score(rows, residual, np.array(reassigned), candidates)
     test = tests[0].scores
     maxima = [max((one.evidence for one in other.scores), default=0.0) for other in tests[1:]]
     order = np.argsort([-one.evidence for one in test])
     scores = tuple(test[place] for place in order)
     kinds = tuple(directions[place] for place in order)
     threshold = max(LEAST_THRESHOLD, float(np.quantile(maxima, 1.0 - FALSE_ALARM_RATE)))
-    difference = _apply(rows, linearized.fitted_residual)
+    explaining = scores[0] if scores[0].evidence > threshold else None
+    left = left_by(given, int(order[0]), explaining)
+    difference = weighted_sums(rows, linearized.fitted_residual)
     predicted = _signal(linearized, rows, is_first, scores[0], kinds[0])
     return Contrast(
         difference=difference,
@@ -151,9 +170,11 @@ def compute_contrast(
         directions=kinds,
         maxima=np.array(maxima),
         threshold=threshold,
-        explained=_explained_elsewhere(linearized, covariances, speeds, is_first, kinds[0], generator),
+        explained=_explained_elsewhere(linearized, nulls, speeds, is_first, kinds[0], generator),
         predicted=predicted,
         noise=np.sqrt(_noise_variance(linearized, rows).mean(axis=(0, 2))),
+        left=float(left[0]),
+        allowed_left=float(np.max(left[1:])),
     )
 
 
@@ -167,55 +188,6 @@ def contrast_rows(
         if first.any() and second.any():
             rows.append(first / first.sum() - second / second.sum())
     return np.array(rows).reshape(len(rows), len(speeds))
-
-
-def _apply(
-    rows: Float[np.ndarray, "speed cycle"], values: Float[np.ndarray, "*shape"]
-) -> Float[np.ndarray, "*contrast"]:
-    """Compute the contrasts of values with the axes ``cycle coordinate phase`` last."""
-    return np.asarray(np.einsum("sc,...ckp->...skp", rows, values))
-
-
-class _Covariances:
-    """Null covariances of all cycles, by the sizes of unexplained errors, from which contrasts follow."""
-
-    def __init__(
-        self,
-        linearized: LinearizedModel,
-        speeds: Int[np.ndarray, " cycle"],
-        measured_moment_sd: Float[np.ndarray, " coordinate"],
-    ):
-        self.shape = linearized.residual.shape
-        self.fixed = self._split(fixed_covariance(linearized))
-        self.by_force = self._split(muscle_covariance(linearized.muscle_errors))
-        # What is left of a repeatable error in a contrast, at one speed.
-        share = 2.0 * (1.0 - ACROSS_CONDITIONS)
-        sd = np.asarray(measured_moment_sd, dtype=float)
-        kernel = np.kron(np.diag(sd**2), periodic_kernel(self.shape[2], REPEATABLE_WIDTH))
-        self.repeatable = share * kernel
-
-    def _split(self, covariance: Matrix) -> Float[np.ndarray, "cycle own cycle_2 own_2"]:
-        cycles, coordinates, phases = self.shape
-        own = coordinates * phases
-        return covariance.reshape(cycles, own, cycles, own)
-
-    def nulls(self, rows: Float[np.ndarray, "speed cycle"]) -> Iterator[Null]:
-        """Compute the covariance of a contrast by each null hypothesis."""
-        fixed, by_force = (
-            np.einsum("sc,ckdl,td->sktl", rows, part, rows, optimize=True)
-            for part in (self.fixed, self.by_force)
-        )
-        count, own = fixed.shape[:2]
-        size = count * own
-        repeatable = np.kron(np.eye(count), self.repeatable)
-        for force, error in product(FORCE_ERRORS, REPEATABLE_ERRORS):
-            log_prior = -force / EXPECTED_FORCE_ERROR - error / EXPECTED_REPEATABLE_ERROR
-            total = fixed + force**2 * by_force
-            covariance = total.reshape(size, size) + error**2 * repeatable
-            # Rounding must not make it indefinite where little is left of the common errors.
-            covariance = 0.5 * (covariance + covariance.T)
-            covariance += 1e-9 * np.trace(covariance) / size * np.eye(size)
-            yield Null(covariance, log_prior)
 
 
 def _candidates(
@@ -232,7 +204,7 @@ def _candidates(
             mask = (is_first if first else ~is_first)[:, None, None]
             variants = []
             for variant in candidate.variants:
-                own = _apply(rows, variant.reshape(-1, *shape) * mask)
+                own = weighted_sums(rows, variant.reshape(-1, *shape) * mask)
                 variants.append(own.reshape(len(variant), -1))
             kept = tuple(one for one in variants if np.abs(one).max(initial=0.0) > 0.0)
             if kept:
@@ -288,7 +260,7 @@ def _noise_variance(
 
 def _explained_elsewhere(
     linearized: LinearizedModel,
-    covariances: _Covariances,
+    nulls: ContrastNulls,
     speeds: Int[np.ndarray, " cycle"],
     is_first: Bool[np.ndarray, " cycle"],
     direction: Direction,
@@ -302,16 +274,17 @@ def _explained_elsewhere(
         rows, other = (_rows_of(speeds, is_first, keep) for keep in (train, held))
         if not len(rows) or len(rows) != len(other):
             continue
-        candidates, directions = _candidates(linearized, rows, is_first)
+        both = with_means(rows)
+        candidates, directions = _candidates(linearized, both, is_first)
         if direction not in directions:
             continue
         chosen = candidates[directions.index(direction)]
-        residual = _apply(rows, linearized.residual).reshape(1, -1)
-        projections = [project(residual, null, (chosen,)) for null in covariances.nulls(rows)]
-        (test,) = score_projected(projections, (chosen,))
+        residual = weighted_sums(both, linearized.residual).ravel()
+        nothing = np.zeros((0, len(residual) // 2))
+        ((test,), _) = nulls.score(rows, residual, nothing, (chosen,))
         predicted = _signal(linearized, other, is_first, test.scores[0], direction)
-        observed = _apply(other, linearized.fitted_residual)
-        fitted = _apply(rows, linearized.fitted_residual)
+        observed = weighted_sums(other, linearized.fitted_residual)
+        fitted = weighted_sums(rows, linearized.fitted_residual)
         removed += float(np.sum(observed**2) - np.sum((observed - predicted) ** 2))
         # Noise of the two parts is independent, so that their product is the power of the difference alone.
         common += float(np.sum(observed * fitted))
@@ -345,14 +318,6 @@ def _rows_of(
     rows = np.zeros((len(own), len(speeds)))
     rows[:, chosen] = own
     return rows
-
-
-def strongest(scores: Sequence[Score], threshold: float, within: float = 3.0) -> tuple[int, ...]:
-    """Return the numbers of the scores above the threshold and within some nats of the strongest."""
-    if not scores or scores[0].evidence <= threshold:
-        return ()
-    least = max(threshold, scores[0].evidence - within)
-    return tuple(number for number, one in enumerate(scores) if one.evidence > least)
 
 
 @dataclass(frozen=True)
@@ -393,12 +358,18 @@ class DifferenceResult:
 
     @property
     def leading(self) -> tuple[tuple[Score, Direction], ...]:
-        """Effects above the threshold and within 3 nats of the strongest, the strongest first."""
-        chosen = strongest(self.contrast.scores, self.contrast.threshold)
+        """Effects that explain the difference about as well as the strongest does, the strongest first."""
+        chosen = self.contrast.strongest
         return tuple((self.contrast.scores[place], self.contrast.directions[place]) for place in chosen)
 
     @property
     def outcome(self) -> str:
-        """``none`` if no effect of one condition is above the threshold, ``named`` for one, else ``tie``."""
+        """``named`` for one effect of one condition, ``tie`` for several.
+
+        ``none`` where chance alone explains the difference; ``unknown`` where something differs and no effect
+        explains it: more of it is left than chance explains, or the effect does not hold on other cycles.
+        """
+        if not self.contrast.adequate:
+            return "unknown"
         names = {direction.id for _, direction in self.leading}
         return ("none", "named", "tie")[min(len(names), 2)]

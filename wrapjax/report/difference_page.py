@@ -44,6 +44,8 @@ def difference_findings(difference: DifferenceResult) -> list[str]:
     threshold = f"{contrast.threshold:.1f} nats"
     if difference.outcome == "none":
         found = f"No effect of the catalogue is above the threshold of {threshold} in one condition alone."
+    elif difference.outcome == "unknown":
+        found = _unexplained(difference)
     elif difference.outcome == "named":
         score = difference.leading[0][0]
         evidence = f"{score.evidence:.1f} nats, threshold {threshold}"
@@ -67,6 +69,19 @@ def difference_findings(difference: DifferenceResult) -> list[str]:
     return [found, explained, amount]
 
 
+def _unexplained(difference: DifferenceResult) -> str:
+    """Write why no effect is named although something differs."""
+    contrast = difference.contrast
+    if contrast.left > contrast.allowed_left:
+        left = (
+            f"what the strongest leaves is {contrast.left:.1f} times the variance by the known errors, and "
+            f"chance leaves up to {contrast.allowed_left:.1f}"
+        )
+    else:
+        left = "the strongest does not hold on cycles that its size was not determined on"
+    return f"Something differs that no effect of the catalogue explains: {left}."
+
+
 def _condition(difference: DifferenceResult, first: bool) -> str:
     return f"'{difference.conditions[0 if first else 1]}'"
 
@@ -87,7 +102,7 @@ def describe_difference(difference: DifferenceResult) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``outcome`` (``none``, ``named`` or ``tie``) with the effects in ``named`` or ``ties``; ``effects``,
+        ``outcome`` (``none``, ``named``, ``tie`` or ``unknown``) with the effects in ``named`` or ``ties``; ``effects``,
         the strongest evidence first, each with the condition that has it; ``explained_share`` on unseen
         cycles, null where the difference does not exceed noise; ``where``, the difference of the residuals by
         coordinate, speed and phase (N m), with what the strongest effect explains.
@@ -120,6 +135,8 @@ def describe_difference(difference: DifferenceResult) -> dict[str, Any]:
         "named": leading if difference.outcome == "named" else [],
         "ties": leading if difference.outcome == "tie" else [],
         "threshold_nats": contrast.threshold,
+        "left": contrast.left,
+        "allowed_left": contrast.allowed_left,
         "explained_share": contrast.explained if math.isfinite(contrast.explained) else None,
         "effects": [
             {
@@ -187,7 +204,7 @@ def render_difference(difference: DifferenceResult) -> str:
                 f"{subject.name}: {first} against {second}",
                 f"{leg_name(subject.side)}, {subject.mass_kg:g} kg.",
             ),
-            markup.verdict(difference_findings(difference), fine=difference.outcome != "tie"),
+            markup.verdict(difference_findings(difference), fine=difference.outcome in ("none", "named")),
             markup.section(
                 "Where the conditions differ",
                 markup.picture(
