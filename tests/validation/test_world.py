@@ -52,6 +52,20 @@ def library(who, oracle):
     return Library(tuple((e.id, v) for e, v in entries), signals, np.tile(reach, (3, 1)))
 
 
+def test_a_person_walks_once_more_with_the_same_muscles_and_habits(who):
+    """For pairs of conditions: other cycles, and nothing else."""
+    again = draw_person("somebody", (5, 0, 1), WORLDS["thelen"], paretic=True, session=(5, 5, 1))
+    assert again.nominal == who.nominal and again.world.leg == who.world.leg
+    for name, values in vars(who.world.muscles).items():
+        np.testing.assert_array_equal(getattr(again.world.muscles, name), values, err_msg=name)
+    first, second = (one.world.walk.angles.mean(axis=-1) for one in (who, again))
+    np.testing.assert_allclose(first, second, atol=np.radians(1.5))
+    assert np.abs(who.world.walk.phase - again.world.walk.phase).max() > 0.02
+    peaks = [np.percentile(one.world.drive, 99.5, axis=(0, 2)) for one in (who, again)]
+    np.testing.assert_allclose(np.log(peaks[1] / peaks[0]), 0.0, atol=0.4)
+    assert np.abs(peaks[1] / peaks[0] - 1.0).max() > 1e-3
+
+
 def test_moments_are_in_the_range_of_walking(who):
     """Compare with wide ranges of recorded walkers at 0.5 to 1.3 m/s: peaks in N m/kg."""
     world = who.world

@@ -1,4 +1,4 @@
-"""Commands of the blind bank: ``python -m validation.blind make|check|score|publish|sheet|forms``."""
+"""Commands of the blind bank: ``python -m validation.blind COMMAND``."""
 
 from __future__ import annotations
 
@@ -25,6 +25,14 @@ def main(arguments: list[str] | None = None) -> int:
     add_selection_arguments(make)
     make.add_argument("--workers", type=int, default=1)
     make.add_argument("--out", type=Path, required=True)
+    conditions = commands.add_parser(
+        "conditions", help="let the people of a bank walk with and without the cause of their case"
+    )
+    conditions.add_argument("--bank", choices=sorted({*BANK_SIZES, WORLD_BANK}), default=WORLD_BANK)
+    conditions.add_argument("--world", choices=list(WORLDS), help=f"one world of bank {WORLD_BANK}")
+    conditions.add_argument("--cases", type=int, help="size that the bank was made with")
+    conditions.add_argument("--made", type=Path, required=True, metavar="DIR", help="folder of the bank")
+    conditions.add_argument("--out", type=Path, required=True)
     score = commands.add_parser("score", help="score answers against the true causes")
     score.add_argument("--bank", type=Path, required=True, help="folder of the bank")
     score.add_argument("--manifest", type=Path, help="committed manifest (default: that of the bank)")
@@ -50,6 +58,7 @@ def main(arguments: list[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     run = {
         "make": _make,
+        "conditions": _conditions,
         "check": _check,
         "score": _score,
         "publish": _publish,
@@ -69,6 +78,18 @@ def _make(chosen: argparse.Namespace) -> int:
         return 1
     planned = make(banks, chosen.out, chosen.workers, selection_of(chosen))
     print(f"{len(planned)} cases in {chosen.out}, sealed by {chosen.out / 'manifest.json'}")
+    return 0
+
+
+def _conditions(chosen: argparse.Namespace) -> int:
+    from validation.blind.conditions import make_pairs
+
+    try:
+        banks = banks_of(chosen.bank, chosen.cases, chosen.world)
+    except ValueError as reason:
+        print(reason, file=sys.stderr)
+        return 1
+    print(f"{make_pairs(banks, chosen.made, chosen.out)} pairs in {chosen.out}")
     return 0
 
 

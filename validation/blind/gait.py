@@ -105,15 +105,20 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, ...], frames: float
 
 
 def simulate_walk(
-    leg: Leg, rng: np.random.Generator, speeds: tuple[float, ...], settings: GaitSettings = USUAL_GAIT
+    leg: Leg,
+    rng: np.random.Generator,
+    speeds: tuple[float, ...],
+    settings: GaitSettings = USUAL_GAIT,
+    cycles: np.random.Generator | None = None,
 ) -> Walk:
-    """Simulate walking at several speeds, 13 s each."""
+    """Simulate walking at several speeds, 13 s each; what differs between cycles may have its own generator."""
     time = np.arange(int(DURATION * RATE)) / RATE
     habits = {name: 1.0 + 0.08 * rng.standard_normal() for name in ALL_COORDINATES}
     offsets = {name: rng.standard_normal() for name in ALL_COORDINATES}
     cadence = settings.period * (1.0 + 0.04 * rng.standard_normal())
     habits |= {name: habits[name] * factor for name, factor in settings.ranges}
-    recordings = [_recording(leg, rng, time, speed, habits, offsets, cadence, settings) for speed in speeds]
+    own = rng if cycles is None else cycles
+    recordings = [_recording(leg, own, time, speed, habits, offsets, cadence, settings) for speed in speeds]
     phase, pose, stance, ground, other = (np.stack(part) for part in zip(*recordings, strict=True))
     return Walk(time, phase, speeds, pose, stance, ground, other)
 

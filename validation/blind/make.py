@@ -28,11 +28,10 @@ def variants_of(settings: WorldSettings) -> dict[str, tuple[Variant, ...]]:
     return {name: variants_in(effect, settings) for name, effect in {**EFFECTS, **OUTSIDE}.items()}
 
 
-def person_of(bank: Bank, index: int) -> Person:
-    """Draw a person of a bank by number."""
-    return draw_person(
-        f"{bank.name}_{index:02d}", (bank.seed, 0, index), settings_of(bank, index), paretic(index)
-    )
+def person_of(bank: Bank, index: int, session: tuple[int, ...] | None = None) -> Person:
+    """Draw a person of a bank by number; with a seed of a session, walking once more."""
+    seed, settings = (bank.seed, 0, index), settings_of(bank, index)
+    return draw_person(f"{bank.name}_{index:02d}", seed, settings, paretic(index), session)
 
 
 def make(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,21 +55,44 @@ class Person:
     world: World  # the truth
 
 
-def draw_person(name: str, seed: tuple[int, ...], settings: WorldSettings, paretic: bool = False) -> Person:
-    """Draw a person and their walk; the same seed gives the same person."""
+def draw_person(
+    name: str,
+    seed: tuple[int, ...],
+    settings: WorldSettings,
+    paretic: bool = False,
+    session: tuple[int, ...] | None = None,
+) -> Person:
+    """Draw a person and their walk; the same seed gives the same person.
+
+    With a seed of a session, the person walks once more: other cycles by the same habits, at the same speeds,
+    with the same muscles and units of EMG.
+    """
     rng = np.random.default_rng(seed)
     mass, height = rng.uniform(58, 92), rng.uniform(1.58, 1.86)
     family, gait = FAMILIES[settings.family], settings.gait
     nominal = reference_leg(float(mass), float(height))
     true = _with_hidden_errors(nominal, rng, settings.geometry)
-    walked = simulate_walk(true, rng, gait.speeds[int(rng.integers(len(gait.speeds)))], gait)
+    speeds = gait.speeds[int(rng.integers(len(gait.speeds)))]
+    before = copy.deepcopy(rng)
+    walked = simulate_walk(true, rng, speeds, gait)
     paths = paths_along(true, walked)
     nominal = _with_slack(nominal, walked)
     muscles = _muscles(true, paths, rng, settings.person)
     target = ground_moments(true, walked)
-    drive, muscles = _drive(walked, family, paths, muscles, target, bursts(walked, gait.bursts), rng)
-    curves = family.curves()
+    ratio = muscles.scale
+    drive, peaks = _drive(walked, family, paths, muscles, target, bursts(walked, gait.bursts), rng)
     channel = channel_of(true.names)
+    muscles = replace(muscles, scale=_scale(peaks, channel, ratio))
+    if session is not None:
+        again = np.random.default_rng(session)
+        walked = simulate_walk(true, before, speeds, gait, cycles=again)
+        paths, target = paths_along(true, walked), ground_moments(true, walked)
+        unscaled = replace(muscles, scale=ratio)
+        other, others_peaks = _drive(
+            walked, family, paths, unscaled, target, bursts(walked, gait.bursts), again
+        )
+        drive = other * (others_peaks / peaks)[None, :, None]
+    curves = family.curves()
     world = World(
         true,
         walked,
@@ -186,8 +210,8 @@ def _drive(
     target: np.ndarray,
     typical: np.ndarray,
     rng: np.random.Generator,
-) -> tuple[np.ndarray, Muscles]:
-    """Find envelopes near typical bursts that approximate the moments, and scales that make their peaks 1."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find envelopes near typical bursts that approximate the moments, relative to their peaks; and these."""
     curves, every = family.curves(), 5
     channel = channel_of(reference_leg(70.0, 1.72).names)
     ratio = muscles.scale
@@ -215,6 +239,11 @@ def _drive(
     return _envelopes(walked, family, muscles, channel, activations, every, rng)
 
 
+def _scale(peaks: np.ndarray, channel: np.ndarray, ratio: np.ndarray) -> np.ndarray:
+    """Compute the excitation of each muscle at an envelope of one."""
+    return np.where(channel >= 0, np.clip(peaks[channel] * ratio, 0.05, 0.95), 0.0)
+
+
 def _envelopes(walked, family, muscles, channel, activations, every, rng):
     time, cycle = walked.time, RATE / np.median(np.diff(walked.phase[0])) / RATE
     fine = np.stack([[np.interp(time, time[::every], row) for row in part] for part in activations])
@@ -231,6 +260,4 @@ def _envelopes(walked, family, muscles, channel, activations, every, rng):
         ahead = muscles.delay[:, driven].mean() + 1.6 * muscles.rise[driven].mean()
         envelopes[:, row] = [np.interp(time + ahead, time, part) for part in drive]
         peaks[row] = np.percentile(envelopes[:, row], 99.5)
-    envelopes /= peaks[None, :, None]
-    scale = np.where(channel >= 0, np.clip(peaks[channel] * muscles.scale, 0.05, 0.95), 0.0)
-    return envelopes, replace(muscles, scale=scale)
+    return envelopes / peaks[None, :, None], peaks

@@ -1,10 +1,10 @@
 """What differs between two conditions: ``python -m validation.diagnosis.condition_pairs``.
 
 ``--bank BANK --out ANSWERS`` compares, for every case of a bank of pairs (`python -m
-validation.sealed_judge conditions`), walking with the cause against walking without it, as ``wrapjax diagnose
-CASE/with --against CASE/without`` does, and writes ``difference.json`` into a folder of each case. Only the
-folders of walking are read until all answers are written. Then a row for each case and the figures of all are
-printed. Answers that are there already are kept.
+validation.sealed_judge conditions`, or `python -m validation.blind conditions`), walking with the cause
+against walking without it, as ``wrapjax diagnose CASE/with --against CASE/without`` does, and writes
+``difference.json`` into a folder of each case. Only the folders of walking are read until all answers are
+written. Then a row for each case and the figures of all are printed. Answers that are there already are kept.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class Judged:
 
 def judged(truth: dict[str, Any], found: dict[str, Any]) -> Judged:
     """Compare an answer with the truth; a name is right if effect and condition are."""
-    cause = truth["causes"][0]["effect"] if truth["causes"] else ""
+    cause = cause_of(truth)
     order = [(one["id"], one["condition"]) for one in found["effects"]]
     named = [(one["id"], one["condition"]) for one in found["named"] or found["ties"]]
     true = (cause, "with")
@@ -109,6 +109,12 @@ def judged(truth: dict[str, Any], found: dict[str, Any]) -> Judged:
         order.index(true) + 1 if true in order else None,
         " ".join(order[0]) if order else "",
     )
+
+
+def cause_of(truth: dict[str, Any]) -> str:
+    """Return the cause of a case of either simulator; empty for none."""
+    causes = [cause.get("effect") or cause["id"] for cause in truth["causes"]]
+    return causes[0] if causes else ""
 
 
 def table(cases: dict[str, Judged]) -> list[str]:
