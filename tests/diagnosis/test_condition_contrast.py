@@ -20,6 +20,7 @@ from wrapjax.diagnosis.error_sources import MuscleErrors
 from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
 from wrapjax.diagnosis.null_covariance import fixed_covariance, muscle_covariance, nulls
 from wrapjax.diagnosis.score_test import Score, score_each
+from wrapjax.report.difference_page import difference_findings
 
 CYCLES, COORDINATES, PHASES = 16, 2, 25
 SHAPE = (CYCLES, COORDINATES, PHASES)
@@ -132,9 +133,15 @@ def test_an_effect_is_easier_to_detect_in_a_contrast():
 
 
 def outcome_of(contrast):
+    return result_of(contrast).outcome
+
+
+def result_of(contrast):
     result = object.__new__(DifferenceResult)
-    object.__setattr__(result, "contrast", contrast)
-    return result.outcome
+    fields = {"contrast": contrast, "conditions": ("brace", "none"), "cycles": (8, 8)}
+    for name, value in fields.items():
+        object.__setattr__(result, name, value)
+    return result
 
 
 def with_uncertain_parameter(signal=0.0):
@@ -191,13 +198,18 @@ def test_a_difference_that_no_effect_explains_is_unknown():
     shape = of_every_cycle(np.sin(5 * PHASE), np.cos(5 * PHASE))
     found = contrast_of(model(5.0 * shape * IS_FIRST[:, None, None]))
     assert found.left > found.allowed_left and outcome_of(found) == "unknown"
+    sentence = difference_findings(result_of(found))[0]
+    assert sentence.startswith("Something differs that no effect of the catalogue explains")
+    assert "times the variance of known errors" in sentence
 
 
 def test_an_effect_that_does_not_hold_on_other_cycles_is_not_named():
     found = contrast_of(model(3.0 * WAVE * IS_FIRST[:, None, None]))
     assert outcome_of(found) == "named"
     assert outcome_of(replace(found, explained=0.2)) == "unknown"
-    assert outcome_of(replace(found, explained=float("nan"))) == "unknown"
+    unconfirmed = replace(found, explained=float("nan"))
+    assert outcome_of(unconfirmed) == "unknown"
+    assert "does not hold on cycles" in difference_findings(result_of(unconfirmed))[0]
 
 
 @pytest.mark.parametrize(("second", "outcome"), [(85.0, "tie"), (70.0, "named")])

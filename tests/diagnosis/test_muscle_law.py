@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -71,16 +72,15 @@ def test_derivatives_by_the_shared_law_agree_with_differences(fitted):
     problem, at = fitted.free, fitted.with_free_law(fitted.variables)
     expansion, jacobian = problem.expand(jnp.asarray(at))
     first, h = len(fitted.variables), 1e-6
+    errors = jax.jit(lambda x: problem.terms(problem.parameters(x))["joint_moment"])
+    value = jax.jit(problem.value)
     for place in range(first, len(at)):
         step = np.zeros(len(at))
         step[place] = h
-        high, low = (
-            np.asarray(problem.terms(problem.parameters(jnp.asarray(at + sign * step)))["joint_moment"])
-            for sign in (1.0, -1.0)
-        )
+        high, low = (np.asarray(errors(at + sign * step)) for sign in (1.0, -1.0))
         difference = (high - low) / (2.0 * h)
         np.testing.assert_allclose(jacobian[:, place], difference, atol=1e-5 * np.abs(jacobian).max())
-        slope = (problem.value(jnp.asarray(at + step)) - problem.value(jnp.asarray(at - step))) / (2.0 * h)
+        slope = (value(at + step) - value(at - step)) / (2.0 * h)
         assert 2.0 * expansion.gradient[place] == pytest.approx(float(slope), rel=1e-3, abs=1e-4)
 
 

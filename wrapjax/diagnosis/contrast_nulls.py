@@ -32,10 +32,10 @@ from wrapjax.diagnosis.null_covariance import (
 )
 from wrapjax.diagnosis.score_test import Score, ScoreTest, project, score_projected
 
-#: Sizes of smooth repeatable errors that are tried, relative to the standard deviation of the measured moment,
-#: and their correlations between the conditions. What a model lacks of a recorded person can be far larger than
-#: the nulls of a single recording allow for, and would count as knowledge of the parameters; how much of it
-#: differs between the conditions is unknown.
+#: Sizes of smooth repeatable errors that are tried, relative to the standard deviation of the measured
+#: moment, and their correlations between the conditions. What a model lacks of a recorded person can be far
+#: larger than the nulls of a single recording allow for, and would count as knowledge of the parameters; how
+#: much of it differs between the conditions is unknown.
 COMMON_ERRORS = tuple(
     (error, across)
     for error in (*REPEATABLE_ERRORS, 0.3)

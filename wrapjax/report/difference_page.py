@@ -72,14 +72,18 @@ def difference_findings(difference: DifferenceResult) -> list[str]:
 def _unexplained(difference: DifferenceResult) -> str:
     """Write why no effect is named although something differs."""
     contrast = difference.contrast
+    reason = "the difference"
+    if difference.leading:
+        direction = difference.leading[0][1]
+        reason = f"what the strongest ({direction.id} in {_condition(difference, direction.first)})"
+        if contrast.left <= contrast.allowed_left:
+            reason += " explains does not hold on cycles that its size was not determined on"
+        else:
+            reason += " leaves of the difference"
     if contrast.left > contrast.allowed_left:
-        left = (
-            f"what the strongest leaves is {contrast.left:.1f} times the variance by the known errors, and "
-            f"chance leaves up to {contrast.allowed_left:.1f}"
-        )
-    else:
-        left = "the strongest does not hold on cycles that its size was not determined on"
-    return f"Something differs that no effect of the catalogue explains: {left}."
+        reason += f" has {contrast.left:.2f} times the variance of known errors, chance at most "
+        reason += f"{contrast.allowed_left:.2f} times"
+    return f"Something differs that no effect of the catalogue explains: {reason}."
 
 
 def _condition(difference: DifferenceResult, first: bool) -> str:
@@ -102,9 +106,10 @@ def describe_difference(difference: DifferenceResult) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``outcome`` (``none``, ``named``, ``tie`` or ``unknown``) with the effects in ``named`` or ``ties``; ``effects``,
-        the strongest evidence first, each with the condition that has it; ``explained_share`` on unseen
-        cycles, null where the difference does not exceed noise; ``where``, the difference of the residuals by
+        ``outcome`` (``none``, ``named``, ``tie`` or ``unknown``) with the effects in ``named`` or ``ties``;
+        ``left`` and ``allowed_left`` of the difference, in variances of the null hypothesis; ``effects``, the
+        strongest evidence first, each with the condition that has it; ``explained_share`` on unseen cycles,
+        null where the difference does not exceed noise; ``where``, the difference of the residuals by
         coordinate, speed and phase (N m), with what the strongest effect explains.
     """
     contrast = difference.contrast
