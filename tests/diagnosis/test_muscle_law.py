@@ -73,7 +73,7 @@ def test_derivatives_by_the_shared_law_agree_with_differences(fitted):
     expansion, jacobian = problem.expand(jnp.asarray(at))
     first, h = len(fitted.variables), 1e-6
     errors = jax.jit(lambda x: problem.terms(problem.parameters(x))["joint_moment"])
-    value = jax.jit(problem.value)
+    value = jax.jit(lambda x: problem.value(x))
     for place in range(first, len(at)):
         step = np.zeros(len(at))
         step[place] = h

@@ -93,7 +93,7 @@ def test_where_contacts_with_overlapping_surfaces_do_not_converge_a_path_is_not_
 @pytest.mark.parametrize(
     ("kind", "sizes", "start", "limit"),
     [
-        ("ellipsoid", (0.03, 0.022, 0.026), (0.011, 0.016, 0.008), 1e-7),
+        pytest.param("ellipsoid", (0.03, 0.022, 0.026), (0.011, 0.016, 0.008), 1e-7, marks=pytest.mark.slow),
         ("torus", (0.02, 0.008), (0.016, 0.004, 0.003), 1e-6),
     ],
 )

@@ -170,7 +170,7 @@ def test_the_paths_of_the_other_leg_have_the_same_limits(with_bone, fewer_sample
         matching_path_source(near, person)
 
 
-def test_calibrate_takes_bones(with_bone, free, tmp_path, capsys):
+def test_bones_are_for_pga_by_the_exact_engine(with_bone, tmp_path, capsys):
     person, bones = with_bone
     command = ["calibrate", str(person.folder), "--method", "PGA", "--out", str(tmp_path / "RUN"), "--quiet"]
     limits = ["--bones", str(bones), "--bone-distance", "0.002"]
@@ -181,7 +181,14 @@ def test_calibrate_takes_bones(with_bone, free, tmp_path, capsys):
     assert main([*command, "--geometry", "engine", "--bones", str(tmp_path)]) == 2
     assert "expected surfaces of bones (.vtp), found none of thigh.vtp" in capsys.readouterr().err
     assert not (tmp_path / "RUN").exists()
+
+
+@pytest.mark.slow
+def test_calibrate_keeps_wraps_near_bones(with_bone, free, tmp_path):
+    person, bones = with_bone
+    command = ["calibrate", str(person.folder), "--method", "PGA", "--out", str(tmp_path / "RUN"), "--quiet"]
+    limits = ["--geometry", "engine", "--bones", str(bones), "--bone-distance", "0.002"]
     few = ["--starts", "1", "--max-iterations", "2"]
-    assert main([*command, "--geometry", "engine", *limits, *few]) in (0, 1)
+    assert main([*command, *limits, *few]) in (0, 1)
     (bounds,) = json.loads((tmp_path / "RUN" / "settings.json").read_text())["freed_wraps"].values()
     assert 0.0 < bounds["translation_x_m"]["upper"] < 0.9 * free.upper[0, 0]

@@ -183,6 +183,7 @@ def test_pga_adjusts_the_wrap(person, sampled, tmp_path):
     assert_reproduces_itself(tmp_path / "run", person)
 
 
+@pytest.mark.slow
 def test_opensim_and_the_engine_give_the_same_fit(person, sampled):
     """For one cylinder their paths differ by micrometers."""
     judged = fit_wraps(person, fit(person, "opensim"), processes=1)
