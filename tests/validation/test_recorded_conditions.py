@@ -13,7 +13,10 @@ from validation.recorded.manipulations import Manipulation, with_offset
 from wrapjax.io.storage import read_storage
 
 RAISED = Manipulation(
-    "offset", "0.1 added", partial(with_offset, channel="soleus_l_activation", offset=0.1), "emg_offset"
+    "offset",
+    "0.1 added",
+    partial(with_offset, channel="soleus_l_activation", offset=0.1, slowest_only=False),
+    "emg_offset",
 )
 HIDDEN = Manipulation("hidden", "no electrode", list, "missing_drive", hidden="soleus_l_activation")
 
