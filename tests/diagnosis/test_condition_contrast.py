@@ -197,7 +197,7 @@ def test_contrast_and_mean_have_the_covariance_of_the_cycles():
 def test_a_difference_that_no_effect_explains_is_unknown():
     shape = of_every_cycle(np.sin(5 * PHASE), np.cos(5 * PHASE))
     found = contrast_of(model(5.0 * shape * IS_FIRST[:, None, None]))
-    assert found.left > found.allowed_left and outcome_of(found) == "unknown"
+    assert found.remaining > found.allowed_remaining and outcome_of(found) == "unknown"
     sentence = difference_findings(result_of(found))[0]
     assert sentence.startswith("Something differs that no effect of the catalogue explains")
     assert "times the variance of known errors" in sentence
@@ -224,8 +224,8 @@ def test_effects_within_the_error_of_form_of_the_strongest_are_a_tie(second, out
         "directions": tuple(Direction(score.id, True) for score in scores),
         "threshold": 3.0,
         "explained": 0.9,
-        "left": 1.0,
-        "allowed_left": 1.2,
+        "remaining": 1.0,
+        "allowed_remaining": 1.2,
     }
     for name, value in fields.items():
         object.__setattr__(contrast, name, value)

@@ -89,7 +89,14 @@ def _conditions(chosen: argparse.Namespace) -> int:
     except ValueError as reason:
         print(reason, file=sys.stderr)
         return 1
-    print(f"{make_pairs(banks, chosen.made, chosen.out)} pairs in {chosen.out}")
+    count = make_pairs(banks, chosen.made, chosen.out)
+    if not count:
+        print(
+            f"{chosen.made}: no case of these banks that has a pair; was it made with --cases?",
+            file=sys.stderr,
+        )
+        return 1
+    print(f"{count} pairs in {chosen.out}")
     return 0
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -25,6 +24,7 @@ from validation.diagnosis.case_answers import calibration_fingerprint
 from validation.diagnosis.linearizations import Job, linearize_case, load
 from validation.diagnosis.scored_cases import ScoredCase, decision_on, score_case
 from validation.recorded.manipulations import Manipulation, manipulations_of, write_manipulation
+from validation.recorded.recordings import add_subjects_argument
 from wrapjax.cohorts.scheduling import run_jobs
 from wrapjax.diagnosis.decision import DecisionConstants
 from wrapjax.diagnosis.effects.catalogue import family_of
@@ -253,16 +253,7 @@ def _interval(by_person: Sequence[Sequence[bool]]) -> str:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m validation.recorded", description=__doc__)
-    data = os.environ.get("WRAPJAX_DATA")
-    parser.add_argument(
-        "--subjects",
-        type=Path,
-        nargs="+",
-        metavar="FOLDER",
-        default=[Path(data) / name for name in PEOPLE] if data else None,
-        required=data is None,
-        help=f"subject folders (default: {', '.join(PEOPLE)} of $WRAPJAX_DATA)",
-    )
+    add_subjects_argument(parser, PEOPLE)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="manipulations to run (default: all)")
     parser.add_argument(

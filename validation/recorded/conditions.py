@@ -9,7 +9,6 @@ speed have no answer. Answers that are in DIR already are kept.
 from __future__ import annotations
 
 import argparse
-import os
 import shutil
 import sys
 from collections.abc import Mapping
@@ -18,7 +17,7 @@ from pathlib import Path
 from benchmarks.machine import pin_threads
 from validation.diagnosis.condition_pairs import Judged, Pair, answer, judged
 from validation.recorded.manipulations import Manipulation, manipulations_of, write_manipulation
-from validation.recorded.recordings import settings_of
+from validation.recorded.recordings import add_subjects_argument, settings_of
 from validation.recorded.subsets import parts_of
 from wrapjax.cohorts.scheduling import run_jobs
 from wrapjax.diagnosis.effects.catalogue import family_of
@@ -130,16 +129,7 @@ def table(errors: Mapping[str, Manipulation], found: Mapping[str, Judged]) -> st
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m validation.recorded.conditions", description=__doc__)
-    data = os.environ.get("WRAPJAX_DATA")
-    parser.add_argument(
-        "--subjects",
-        type=Path,
-        nargs="+",
-        metavar="FOLDER",
-        default=[Path(data) / name for name in PEOPLE] if data else None,
-        required=data is None,
-        help=f"subject folders (default: {', '.join(PEOPLE)} of $WRAPJAX_DATA)",
-    )
+    add_subjects_argument(parser, PEOPLE)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument(
         "--size", type=float, default=2.0, help="size of the errors in prior standard deviations"

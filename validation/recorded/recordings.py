@@ -6,6 +6,8 @@ with recorded inputs is added to the moments of the folder.
 
 from __future__ import annotations
 
+import argparse
+import os
 import re
 import shutil
 import tomllib
@@ -98,6 +100,20 @@ def read_recordings(folder: Path) -> list[Recording]:
 
 
 _KEYS = ("emg", "moments", "angles", "ground_forces", "external_loads")
+
+
+def add_subjects_argument(parser: argparse.ArgumentParser, people: Sequence[str]) -> None:
+    """Add ``--subjects``, subject folders; by default these folders of $WRAPJAX_DATA."""
+    data = os.environ.get("WRAPJAX_DATA")
+    parser.add_argument(
+        "--subjects",
+        type=Path,
+        nargs="+",
+        metavar="FOLDER",
+        default=[Path(data) / name for name in people] if data else None,
+        required=data is None,
+        help=f"subject folders (default: {', '.join(people)} of $WRAPJAX_DATA)",
+    )
 
 
 def settings_of(folder: Path) -> dict[str, Any]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import re
 import shutil
 import sys
@@ -22,6 +21,7 @@ from typing import Any
 
 from benchmarks.machine import pin_threads
 from validation.diagnosis.case_answers import Job, answer
+from validation.recorded.recordings import add_subjects_argument
 from wrapjax.cohorts.scheduling import run_jobs
 from wrapjax.diagnosis.effects.catalogue import family_of
 from wrapjax.errors import InputError
@@ -180,16 +180,7 @@ def table(found: Mapping[str, Mapping[str, Any]]) -> str:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m validation.recorded.subsets", description=__doc__)
-    data = os.environ.get("WRAPJAX_DATA")
-    parser.add_argument(
-        "--subjects",
-        type=Path,
-        nargs="+",
-        metavar="FOLDER",
-        default=[Path(data) / name for name in PEOPLE] if data else None,
-        required=data is None,
-        help=f"subject folders (default: {', '.join(PEOPLE)} of $WRAPJAX_DATA)",
-    )
+    add_subjects_argument(parser, PEOPLE)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--starts", type=int, default=4)

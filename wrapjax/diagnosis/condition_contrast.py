@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from wrapjax.diagnosis.contrast_nulls import ContrastNulls, left_by, weighted_sums, with_means
+from wrapjax.diagnosis.contrast_nulls import ContrastNulls, remaining_after, weighted_sums, with_means
 from wrapjax.diagnosis.effects.effect import Effect, NotTestable
 from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
 from wrapjax.diagnosis.score_test import Score
@@ -86,10 +86,9 @@ class Contrast:
         Contribution of the strongest effect to the difference, N m.
     noise
         Standard deviation of the difference by cycle noise alone, N m.
-    left, allowed_left
-        Mean square, in standard deviations of the null hypothesis, of what the strongest effect leaves of the
-        difference, or of the difference itself if no effect is above the threshold; and the most that a
-        reassignment of the cycles leaves.
+    remaining, allowed_remaining
+        Mean square of the difference without the strongest effect, or with it if no effect is above the
+        threshold, in variances of the null hypothesis; and the largest of a reassignment of the cycles.
     """
 
     difference: Float[np.ndarray, "speed coordinate phase"]
@@ -100,8 +99,8 @@ class Contrast:
     explained: float
     predicted: Float[np.ndarray, "speed coordinate phase"]
     noise: Float[np.ndarray, " coordinate"]
-    left: float
-    allowed_left: float
+    remaining: float
+    allowed_remaining: float
 
     @property
     def strongest(self) -> tuple[int, ...]:
@@ -116,7 +115,7 @@ class Contrast:
     def adequate(self) -> bool:
         """Whether chance explains what is left, and the strongest effect, if any, holds on other cycles."""
         confirmed = not self.strongest or self.explained >= LEAST_EXPLAINED
-        return self.left <= self.allowed_left and confirmed
+        return self.remaining <= self.allowed_remaining and confirmed
 
 
 def compute_contrast(
@@ -161,7 +160,7 @@ def compute_contrast(
     kinds = tuple(directions[place] for place in order)
     threshold = max(LEAST_THRESHOLD, float(np.quantile(maxima, 1.0 - FALSE_ALARM_RATE)))
     explaining = scores[0] if scores[0].evidence > threshold else None
-    left = left_by(given, int(order[0]), explaining)
+    remaining = remaining_after(given, int(order[0]), explaining)
     difference = weighted_sums(rows, linearized.fitted_residual)
     predicted = _signal(linearized, rows, is_first, scores[0], kinds[0])
     return Contrast(
@@ -173,8 +172,8 @@ def compute_contrast(
         explained=_explained_elsewhere(linearized, nulls, speeds, is_first, kinds[0], generator),
         predicted=predicted,
         noise=np.sqrt(_noise_variance(linearized, rows).mean(axis=(0, 2))),
-        left=float(left[0]),
-        allowed_left=float(np.max(left[1:])),
+        remaining=float(remaining[0]),
+        allowed_remaining=float(np.max(remaining[1:])),
     )
 
 

@@ -124,9 +124,9 @@ class ContrastNulls:
             gain = scipy.linalg.cho_solve((factor, True), across, check_finite=False).T
             white = scipy.linalg.solve_triangular(factor, residual[size:], lower=True, check_finite=False)
             of_mean = -0.5 * float(white @ white) - float(np.sum(np.log(np.diag(factor))))
-            left = _regular(of_contrast - gain @ across)
+            conditional = _regular(of_contrast - gain @ across)
             yield GivenMeans(
-                Null(left, null.log_prior + of_mean),
+                Null(conditional, null.log_prior + of_mean),
                 np.vstack([residual[:size] - gain @ residual[size:], reassigned]),
                 tuple(
                     replace(
@@ -175,10 +175,12 @@ def _regular(covariance: Matrix) -> Matrix:
     return symmetric + 1e-9 * np.trace(symmetric) / len(symmetric) * np.eye(len(symmetric))
 
 
-def left_by(given: Sequence[GivenMeans], place: int, score: Score | None) -> Float[np.ndarray, " sample"]:
-    """Compute the mean square of what an effect leaves of each sample, in standard deviations of the null.
+def remaining_after(
+    given: Sequence[GivenMeans], place: int, score: Score | None
+) -> Float[np.ndarray, " sample"]:
+    """Compute the mean square of each sample without an effect, in variances of the null hypothesis.
 
-    Without a score, of what no effect leaves. The null hypothesis is the most probable one with the effect.
+    Without a score, of the sample itself. The null hypothesis is the most probable one with the effect.
     """
     found = []
     for one in given:

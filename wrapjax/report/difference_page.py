@@ -76,13 +76,13 @@ def _unexplained(difference: DifferenceResult) -> str:
     if difference.leading:
         direction = difference.leading[0][1]
         reason = f"what the strongest ({direction.id} in {_condition(difference, direction.first)})"
-        if contrast.left <= contrast.allowed_left:
+        if contrast.remaining <= contrast.allowed_remaining:
             reason += " explains does not hold on cycles that its size was not determined on"
         else:
             reason += " leaves of the difference"
-    if contrast.left > contrast.allowed_left:
-        reason += f" has {contrast.left:.2f} times the variance of known errors, chance at most "
-        reason += f"{contrast.allowed_left:.2f} times"
+    if contrast.remaining > contrast.allowed_remaining:
+        reason += f" has {contrast.remaining:.2f} times the variance of known errors, chance at most "
+        reason += f"{contrast.allowed_remaining:.2f} times"
     return f"Something differs that no effect of the catalogue explains: {reason}."
 
 
@@ -107,9 +107,9 @@ def describe_difference(difference: DifferenceResult) -> dict[str, Any]:
     -------
     dict
         ``outcome`` (``none``, ``named``, ``tie`` or ``unknown``) with the effects in ``named`` or ``ties``;
-        ``left`` and ``allowed_left`` of the difference, in variances of the null hypothesis; ``effects``, the
-        strongest evidence first, each with the condition that has it; ``explained_share`` on unseen cycles,
-        null where the difference does not exceed noise; ``where``, the difference of the residuals by
+        ``remaining`` and ``allowed_remaining`` of the difference, in variances of the null hypothesis;
+        ``effects``, the strongest evidence first, each with the condition that has it; ``explained_share`` on
+        unseen cycles, null where the difference does not exceed noise; ``where``, the difference by
         coordinate, speed and phase (N m), with what the strongest effect explains.
     """
     contrast = difference.contrast
@@ -140,8 +140,8 @@ def describe_difference(difference: DifferenceResult) -> dict[str, Any]:
         "named": leading if difference.outcome == "named" else [],
         "ties": leading if difference.outcome == "tie" else [],
         "threshold_nats": contrast.threshold,
-        "left": contrast.left,
-        "allowed_left": contrast.allowed_left,
+        "remaining": contrast.remaining,
+        "allowed_remaining": contrast.allowed_remaining,
         "explained_share": contrast.explained if math.isfinite(contrast.explained) else None,
         "effects": [
             {
