@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from wrapjax.calibration.objective import Objective
+from wrapjax.model.variables import of_batch
 
 
 def residual_jacobian(
@@ -22,9 +23,10 @@ def residual_jacobian(
     blocks = []
     for penalty, value, slope in zip(problem._all_penalties, values, value_slopes, strict=True):
         # Derivative of the muscles' values with respect to each variable, added over the places it occupies.
-        derivative = (
-            jnp.zeros((of_variables.count + 1, *value.shape)).at[of_variables.index, muscles].add(slope)
-        )
+        derivative = jnp.zeros((of_variables.count + 1, *value.shape))
+        for batch, part in zip(slope.batches, slope.parts, strict=True):
+            index = of_batch(batch, of_variables.index)[:, : batch.entries]
+            derivative = derivative.at[index, of_batch(batch, muscles)].add(part)
         _, push = jax.linearize(penalty.rows, value)
         blocks.append(jax.vmap(push)(derivative[:-1]).reshape(of_variables.count, -1).T)
     moments = of_variables.gather(moment_slopes).T

@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 
 from tests.calibration.dense import dense_derivatives, dense_slopes
-from tests.model.small import MODES, small_limited_objective, small_objective
+from tests.model.small import MODES, MUSCLES, small_limited_objective, small_objective
+from wrapjax.calibration.objective import symmetric_product
+from wrapjax.calibration.problem import crossing_variables
+from wrapjax.geometry.paths import AdjustablePath
 from wrapjax.model.alteration import tendon_alterations
 from wrapjax.model.forward import muscle_states
 
@@ -88,6 +91,41 @@ def test_expansion_with_paths_and_a_compliant_tendon():
         own = (found.gauss_newton + found.remainder) @ direction
         difference = (gradient(ahead) - gradient(behind)) / 2e-5
         np.testing.assert_allclose(own, difference, rtol=1e-4, atol=1e-5 * float(jnp.abs(own).max()))
+
+
+def test_products_by_coordinate_equal_those_of_the_whole_jacobian():
+    """Muscles that do not cross a coordinate are left out, but not those whose arm is zero at first."""
+    plain = small_limited_objective(seed=1)
+    path = plain.recording.path
+    uncrossed, at_first_zero = (2, 1), (0, 1)
+    nominal = path.nominal.moment_arm.at[uncrossed[0], :, uncrossed[1]].set(0.0)
+    nominal = nominal.at[at_first_zero[0], :, at_first_zero[1]].set(0.0)
+    changed = path.modes.moment_arm.at[uncrossed[0], :, :, uncrossed[1]].set(0.0)
+    path = AdjustablePath(
+        dataclasses.replace(path.nominal, moment_arm=nominal),
+        dataclasses.replace(path.modes, moment_arm=changed),
+    )
+    plain = dataclasses.replace(plain, recording=dataclasses.replace(plain.recording, path=path))
+    crossing = crossing_variables(path, plain.variables)
+    labels = [{plain.variables.labels[place].split(".")[0] for place in own} for own in crossing]
+    assert labels == [set(MUSCLES), set(MUSCLES[:2])]
+    generator = np.random.default_rng(2)
+    point = plain.start(plain.initial) + jnp.asarray(0.05 * generator.normal(size=plain.variables.count))
+    found = dataclasses.replace(plain, crossing=crossing).linearized_at(point)
+    whole = plain.linearized_at(point)
+    np.testing.assert_allclose(found.gauss_newton, whole.gauss_newton, rtol=1e-12, atol=1e-12)
+    left_out = tuple(own[:-1] for own in crossing)
+    assert not np.allclose(
+        dataclasses.replace(plain, crossing=left_out).linearized_at(point).gauss_newton, whole.gauss_newton
+    )
+
+
+@pytest.mark.parametrize("rows", [3, 299, 300, 731])
+def test_symmetric_product_equals_the_product(rows):
+    matrix = np.random.default_rng(rows).normal(size=(rows, 7))
+    np.testing.assert_allclose(
+        symmetric_product(jnp.asarray(matrix)), matrix @ matrix.T, rtol=1e-12, atol=1e-12
+    )
 
 
 def test_gradient_equals_finite_differences(problem, point):

@@ -2,9 +2,10 @@
 
 The local variables are a few scalar parameters and, where the path may change, many path modes. The scalar
 parameters (delay, activation, ...) affect all frames and are differentiated in forward mode. With a rigid
-tendon the outputs in a frame depend on the path in that frame alone. The ``framewise_...`` functions then
-differentiate by the modes with the chain rule through length, velocity and moment arms, frame by frame, which
-takes three directional derivatives instead of one per mode. Where frames are coupled, as by a compliant
+tendon the outputs in a frame depend on the path in that frame alone. They are then differentiated by length,
+velocity and moment arms, frame by frame, which takes three directional derivatives instead of one per mode,
+and the chain rule gives those by the modes. The two steps are separate functions: the first is the same for
+all muscles, the second depends on how many modes a muscle has. Where frames are coupled, as by a compliant
 tendon, the ``coupled_...`` functions differentiate along every mode.
 """
 
@@ -14,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -25,72 +27,96 @@ from wrapjax.geometry.paths import PathState
 Outputs = Callable[[Float[Array, " single"], PathState], Any]
 
 
-def framewise_jacobian(
-    outputs: Outputs, single: Float[Array, " single"], path: PathState, modes: PathState
-) -> tuple[Any, Any]:
-    """Compute outputs and their Jacobian where frames are independent given the path.
+class SecondDerivatives(eqx.Module):
+    """Second derivatives of a sum of outputs where frames are independent given the path."""
+
+    #: Hessian by the scalar parameters.
+    by_single: Float[Array, "*muscle single single"]
+    #: By each scalar parameter and each part of the path; the leading axis is that of the parameters.
+    mixed: PathState
+    #: By length and each part of the path, and by velocity and each part of the path, in the same frame.
+    by_length: PathState
+    by_rate: PathState
+
+
+def scalar_jacobian(outputs: Outputs, single: Float[Array, " single"], path: PathState) -> tuple[Any, Any]:
+    """Compute outputs and their derivatives by the scalar parameters, with a leading axis for these."""
+
+    def along(direction: Float[Array, " single"]) -> tuple[Any, Any]:
+        return jax.jvp(lambda at: outputs(at, path), (single,), (direction,))
+
+    # Not `jax.jacfwd`, which has the axis of directions last: with this axis first, `Variables.gather` copies
+    # contiguous rows, which saves a third of the time.
+    values, slopes = jax.vmap(along, out_axes=(None, 0))(jnp.eye(single.size))
+    return values, slopes
+
+
+def path_jacobian(outputs: Outputs, single: Float[Array, " single"], path: PathState) -> dict[str, Any]:
+    """Differentiate outputs by each part of the path (length, velocity, ...) in the same frame, by name."""
+    return {
+        name: jax.jvp(lambda at: outputs(single, at), (path,), (unit,))[1]
+        for name, unit in _units(path).items()
+    }
+
+
+def framewise_jacobian(by_path: dict[str, Any], modes: PathState) -> Any:
+    """Compute the derivatives of outputs by modes from those by the path, where frames are independent.
 
     Parameters
     ----------
-    outputs
-        Function to differentiate.
-    single
-        Scalar parameters at which to differentiate.
-    path
-        Path at which to differentiate.
+    by_path
+        Result of `path_jacobian`.
     modes
         Change of the path per unit of each mode; the leading axis of the leaves is ``mode``.
 
     Returns
     -------
-    values, jacobian
-        Outputs, and their derivatives with a leading axis for scalar parameters followed by modes.
+    tree of Array
+        Derivatives with a leading axis for modes.
     """
-    values, by_single = _scalar_jacobian(outputs, single, path)
-    if not modes.length.shape[0]:
-        return values, by_single
-    units = _units(path)
-    by_path = [jax.jvp(lambda at: outputs(single, at), (path,), (unit,))[1] for unit in units.values()]
-    by_modes = jax.tree.map(lambda *by: _chain(dict(zip(units, by, strict=True)), modes), *by_path)
-    return values, jax.tree.map(lambda *both: jnp.concatenate(both), by_single, by_modes)
+    return jax.tree.map(lambda *by: _chain(dict(zip(by_path, by, strict=True)), modes), *by_path.values())
 
 
-def framewise_hessian(
+def second_derivatives(
     total: Callable[[Float[Array, " single"], PathState], Float[Array, ""]],
     single: Float[Array, " single"],
     path: PathState,
-    modes: PathState,
-) -> Float[Array, "local local"]:
-    """Compute the Hessian of a sum of outputs where frames are independent given the path.
+) -> SecondDerivatives:
+    """Differentiate a sum of outputs twice where frames are independent given the path.
 
     Parameters
     ----------
     total
         Sum of outputs, linear in the moment arms.
-    single, path, modes
-        See `framewise_jacobian`.
-
-    Returns
-    -------
-    Array
-        Hessian by scalar parameters followed by modes.
+    single, path
+        Scalar parameters and path at which to differentiate.
     """
-    by_single = jax.hessian(total)(single, path)
-    if not modes.length.shape[0]:
-        return by_single
+    slope = jax.grad(total, argnums=(0, 1))
 
-    def path_slope(single: Float[Array, " single"], path: PathState) -> PathState:
-        return jax.grad(total, argnums=1)(single, path)
+    def along_single(direction: Float[Array, " single"]) -> tuple[Array, PathState]:
+        return jax.jvp(lambda at: slope(at, path), (single,), (direction,))[1]
 
-    def along(direction: Float[Array, " single"]) -> PathState:
-        return jax.jvp(lambda at: path_slope(at, path), (single,), (direction,))[1]
+    def along_path(direction: PathState) -> PathState:
+        return jax.jvp(lambda at: slope(single, at)[1], (path,), (direction,))[1]
 
-    mixed = jax.vmap(along)(jnp.eye(single.size))
-    products = jax.tree.map(lambda one, mode: jnp.einsum("s...,m...->sm", one, mode), mixed, modes)
-    cross = jax.tree.reduce(jnp.add, products)
+    by_single, mixed = jax.vmap(along_single)(jnp.eye(single.size))
     units = _units(path)
-    by_length = jax.jvp(lambda at: path_slope(single, at), (path,), (units["length"],))[1]
-    by_rate = jax.jvp(lambda at: path_slope(single, at), (path,), (units["velocity"],))[1]
+    return SecondDerivatives(by_single, mixed, along_path(units["length"]), along_path(units["velocity"]))
+
+
+def framewise_hessian(second: SecondDerivatives, modes: PathState) -> Float[Array, "local local"]:
+    """Compute the Hessian of a sum of outputs by scalar parameters followed by modes.
+
+    Parameters
+    ----------
+    second
+        Result of `second_derivatives`.
+    modes
+        See `framewise_jacobian`.
+    """
+    products = jax.tree.map(lambda one, mode: jnp.einsum("s...,m...->sm", one, mode), second.mixed, modes)
+    cross = jax.tree.reduce(jnp.add, products)
+    by_length, by_rate = second.by_length, second.by_rate
     # Half of a symmetric sum; second derivatives by two moment arms are zero.
     with_length = (
         0.5 * by_length.length[None] * modes.length
@@ -103,25 +129,24 @@ def framewise_hessian(
     half = jnp.einsum("mtf,ntf->mn", modes.length, with_length) + jnp.einsum(
         "mtf,ntf->mn", modes.velocity, with_rate
     )
-    return jnp.block([[by_single, cross], [cross.T, half + half.T]])
+    return jnp.block([[second.by_single, cross], [cross.T, half + half.T]])
 
 
 def coupled_jacobian(
     outputs: Outputs, single: Float[Array, " single"], path: PathState, modes: PathState
-) -> tuple[Any, Any]:
-    """Compute outputs and their Jacobian where an output in a frame may depend on the path in all frames.
+) -> Any:
+    """Differentiate outputs by modes where an output in a frame may depend on the path in all frames.
 
-    Parameters and returns are those of `framewise_jacobian`.
+    Returns
+    -------
+    tree of Array
+        Derivatives with a leading axis for modes.
     """
-    values, by_single = _scalar_jacobian(outputs, single, path)
-    if not modes.length.shape[0]:
-        return values, by_single
 
     def along(mode: PathState) -> Any:
         return jax.jvp(lambda at: outputs(single, at), (path,), (mode,))[1]
 
-    by_modes = jax.vmap(along)(modes)
-    return values, jax.tree.map(lambda *both: jnp.concatenate(both), by_single, by_modes)
+    return jax.vmap(along)(modes)
 
 
 def coupled_hessian(
@@ -132,11 +157,19 @@ def coupled_hessian(
 ) -> Float[Array, "local local"]:
     """Compute the Hessian where an output in a frame may depend on the path in all frames.
 
-    Parameters and returns are those of `framewise_hessian`.
+    Parameters
+    ----------
+    total, single, path
+        See `second_derivatives`.
+    modes
+        See `framewise_jacobian`.
+
+    Returns
+    -------
+    Array
+        Hessian by scalar parameters followed by modes.
     """
     count = modes.length.shape[0]
-    if not count:
-        return jax.hessian(total)(single, path)
 
     def total_of_local(local: Float[Array, " local"]) -> Float[Array, ""]:
         changes = local[single.size :]
@@ -144,18 +177,6 @@ def coupled_hessian(
         return total(local[: single.size], moved)
 
     return jax.hessian(total_of_local)(jnp.concatenate([single, jnp.zeros(count)]))
-
-
-def _scalar_jacobian(outputs: Outputs, single: Float[Array, " single"], path: PathState) -> tuple[Any, Any]:
-    """Compute outputs and their derivatives by the scalar parameters, with a leading axis for these."""
-
-    def along(direction: Float[Array, " single"]) -> tuple[Any, Any]:
-        return jax.jvp(lambda at: outputs(at, path), (single,), (direction,))
-
-    # Not `jax.jacfwd`, which has the axis of directions last: with this axis first, `Variables.gather` copies
-    # contiguous rows, which saves a third of the time.
-    values, slopes = jax.vmap(along, out_axes=(None, 0))(jnp.eye(single.size))
-    return values, slopes
 
 
 def _units(path: PathState) -> dict[str, PathState]:

@@ -11,10 +11,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from wrapjax.calibration.muscle_derivatives import (
+    Outputs,
     coupled_hessian,
     coupled_jacobian,
     framewise_hessian,
     framewise_jacobian,
+    path_jacobian,
+    scalar_jacobian,
+    second_derivatives,
 )
 from wrapjax.calibration.penalties import AbstractPenalty, Limit
 from wrapjax.calibration.solvers.interface import AbstractCalibration, Linearization
@@ -28,11 +32,13 @@ from wrapjax.model.alteration import (
 )
 from wrapjax.model.forward import MuscleState, Recording, muscle_state_along, muscle_states
 from wrapjax.model.parameters import ModelParameters
-from wrapjax.model.variables import Variables
+from wrapjax.model.variables import Batch, LocalBlocks, Variables, of_batch
 from wrapjax.muscle.curves import AbstractCurves
 
 #: Allowable error of a joint moment, N m (the default of the NMSM Pipeline).
 MOMENT_ERROR = 2.5
+#: Number of rows below which a symmetric product is not divided.
+_SMALL = 300
 
 
 class Objective(AbstractCalibration):
@@ -58,6 +64,9 @@ class Objective(AbstractCalibration):
     )
     #: Changes of the plain model, which are not calibrated; with those of paths, all paths must be held.
     alterations: tuple[Alteration, ...] = ()
+    #: Variables of the muscles that cross each coordinate, by which alone its moment can change; empty where
+    #: this is not known.
+    crossing: tuple[tuple[int, ...], ...] = eqx.field(static=True, default=())
 
     def __check_init__(self):
         # An altered path may depend on the paths of several muscles, whose modes then affect other forces.
@@ -147,7 +156,6 @@ class Objective(AbstractCalibration):
         expansion, jacobian
             See `linearize` and `moment_jacobian`.
         """
-        index = self.variables.index
         inputs = self._muscle_inputs(variables)
         moment, values, moment_slopes, value_slopes = self._muscle_slopes(inputs)
         rows = self._moment_rows(moment.sum(axis=0))
@@ -155,18 +163,19 @@ class Objective(AbstractCalibration):
         prior_rows, prior_slope = self._prior_rows(variables), jnp.asarray(self._prior_weight())
         cost = jnp.sum(rows**2) + jnp.sum(prior_rows**2)
         gradient = transposed @ rows + prior_slope * prior_rows
-        gauss_newton = transposed @ transposed.T + jnp.diag(prior_slope**2)
-        local_gradient = jnp.zeros(index.shape)
-        own_gram = jnp.zeros((*index.shape, index.shape[1]))
+        gauss_newton = self._moment_gram(transposed) + jnp.diag(prior_slope**2)
+        local_gradient = moment_slopes.map(lambda own: jnp.zeros((*own.shape[:2], 1)))
+        own_gram = moment_slopes.map(lambda own: jnp.zeros((*own.shape[:2], own.shape[1])))
         groups: dict[tuple[int, ...], Array] = {}
         multipliers = []
         for penalty, value, slope in zip(self._all_penalties, values, value_slopes, strict=True):
             penalty_rows, pull_back = jax.vjp(penalty.rows, value)
             multipliers.append(pull_back(penalty_rows)[0])
             cost += jnp.sum(penalty_rows**2)
-            local_gradient += jnp.einsum("mk,mpk->mp", multipliers[-1], slope)
+            local_gradient += slope.map(_weighted_sum, multipliers[-1])
             gram = penalty.gram_matrix(value, slope)
-            own_gram += gram.own
+            if gram.own is not None:
+                own_gram += gram.own
             for members, block in gram.groups:
                 groups[members] = groups[members] + block if members in groups else block
         curvatures = self._muscle_curvatures(inputs, rows, tuple(multipliers))
@@ -174,7 +183,7 @@ class Objective(AbstractCalibration):
             curvatures += self._path_curvatures(variables, inputs, rows, tuple(multipliers))
         model = Linearization(
             cost=cost,
-            gradient=gradient + self.variables.gather(local_gradient[..., None])[:, 0],
+            gradient=gradient + self.variables.gather(local_gradient)[:, 0],
             gauss_newton=gauss_newton + self.variables.assemble(own_gram, groups),
             remainder=self.variables.assemble(curvatures),
         )
@@ -193,19 +202,44 @@ class Objective(AbstractCalibration):
         """Penalties and limits."""
         return (*self.penalties, *self.limits)
 
+    def _moment_gram(self, transposed: Float[Array, "variable row"]) -> Float[Array, "variable variable"]:
+        """Compute ``J'J`` of the moment residuals from the transposed Jacobian.
+
+        A muscle crosses one to four of the coordinates. Products by coordinate need a third of the operations
+        where every muscle has many variables.
+        """
+        if not self.crossing:
+            return transposed @ transposed.T
+        by_coordinate = transposed.reshape(len(transposed), *self.measured.shape)
+        total = jnp.zeros((len(transposed), len(transposed)))
+        for crossing in dict.fromkeys(self.crossing):
+            coordinates = [place for place, own in enumerate(self.crossing) if own == crossing]
+            chosen = np.array(crossing)
+            own = by_coordinate[chosen][:, :, np.array(coordinates)].reshape(len(chosen), -1)
+            total = total.at[chosen[:, None], chosen].add(symmetric_product(own))
+        return total
+
     def _muscle_inputs(self, variables: Float[Array, " variable"]):
         """Collect the arguments of the functions of one muscle, with a leading axis ``muscle``."""
         count, modes = self.variables.nonpath_count, self.variables.modes
         scale = jnp.asarray(self.variables.scale)
         changes = self.variables.unpack(variables).path_changes
         path, by_change = self.recording.path.linearized(changes)
-        unit_modes = jax.tree.map(
-            lambda leaf: jnp.einsum("mk,mk...->mk...", scale[:, count:], leaf[:, :modes]), by_change
-        )
+        by_change = jax.tree.map(lambda leaf: leaf[:, :modes], by_change)
         single = self.variables.localize(variables)[:, :count]
         path = altered_paths(path, self.alterations)
         emg, parts = altered_emg(self.recording.emg, self.alterations), muscle_alterations(self.alterations)
-        return single, path, unit_modes, scale[:, :count], self.variables.base, emg, parts
+        return single, path, by_change, scale, self.variables.base, emg, parts
+
+    def _batch_inputs(self, inputs: tuple, batch: Batch) -> tuple:
+        """Select the arguments for the muscles of a batch, with the modes that they have, in solver units."""
+        count = self.variables.nonpath_count
+        single, path, by_change, scale, *others = of_batch(batch, inputs)
+        unit = scale[:, count : batch.entries]
+        unit_modes = jax.tree.map(
+            lambda leaf: jnp.einsum("mk,mk...->mk...", unit, leaf[:, : batch.entries - count]), by_change
+        )
+        return single, path, unit_modes, scale[:, :count], *others
 
     def _muscle_outputs(self, single, path, scale, base, emg, parts):
         """Compute the moment of one muscle and the quantities of its penalties and limits."""
@@ -218,26 +252,51 @@ class Objective(AbstractCalibration):
 
     def _muscle_slopes(self, inputs: tuple):
         """Compute outputs and their derivatives by local variables, of every muscle."""
-        differentiate = coupled_jacobian if self.alterations else framewise_jacobian
+        by_modes = bool(self.variables.modes)
+        reductions = [penalty.reduce for penalty in self._all_penalties]
 
-        def of_one(single, path, modes, *inputs):
-            (moment, quantities), (moment_slope, quantity_slopes) = differentiate(
-                lambda single, path: self._muscle_outputs(single, path, *inputs), single, path, modes
-            )
-            reductions = [penalty.reduce for penalty in self._all_penalties]
-            values = tuple(map(lambda reduce, one: reduce(one), reductions, quantities))
-            value_slopes = tuple(map(lambda reduce, one: jax.vmap(reduce)(one), reductions, quantity_slopes))
+        def reduced(outputs: tuple) -> tuple[Array, tuple[Array, ...]]:
+            moment, quantities = outputs
+            return moment, tuple(map(lambda reduce, one: reduce(one), reductions, quantities))
+
+        def by_parts(single, path, *inputs):
+            outputs = self._outputs_of(*inputs)
+            values, by_single = scalar_jacobian(outputs, single, path)
+            by_path = path_jacobian(outputs, single, path) if by_modes and not self.alterations else None
+            return reduced(values), by_single, by_path
+
+        def of_one(by_single, by_path, single, path, modes, *inputs):
+            slopes = by_single
+            if by_modes:
+                along = (
+                    coupled_jacobian(self._outputs_of(*inputs), single, path, modes)
+                    if self.alterations
+                    else framewise_jacobian(by_path, modes)
+                )
+                slopes = jax.tree.map(lambda *both: jnp.concatenate(both), by_single, along)
+            moment_slope, value_slopes = jax.vmap(reduced)(slopes)
             flat = moment_slope.reshape(moment_slope.shape[0], -1)
-            return moment, values, self.row_scale()[None] * flat, value_slopes
+            return self.row_scale()[None] * flat, value_slopes
 
-        return jax.vmap(of_one)(*inputs)
+        single, path, _, scale, *others = inputs
+        count, batches = self.variables.nonpath_count, self.variables.batches
+        (moment, values), *by = jax.vmap(by_parts)(single, path, scale[:, :count], *others)
+        parts = [
+            jax.vmap(of_one)(*of_batch(batch, by), *self._batch_inputs(inputs, batch)) for batch in batches
+        ]
+        moment_slopes, value_slopes = jax.tree.map(lambda *own: LocalBlocks(batches, own), *parts)
+        return moment, values, moment_slopes, value_slopes
+
+    def _outputs_of(self, *inputs) -> Outputs:
+        """Return the outputs of one muscle as a function of its scalar parameters and its path."""
+        return lambda single, path: self._muscle_outputs(single, path, *inputs)
 
     def _muscle_curvatures(
         self,
         inputs: tuple,
         rows: Float[Array, " row"],
         multipliers: tuple[Float[Array, "muscle _"], ...],
-    ) -> Float[Array, "muscle local local"]:
+    ) -> LocalBlocks:
         """Compute the sum of residuals times their Hessians: one block per muscle, as moments are sums.
 
         Moments are linear in the moment arms. Arms are therefore first summed over coordinates, weighted by
@@ -245,18 +304,17 @@ class Objective(AbstractCalibration):
         derivatives by the muscle law are omitted, as in a Gauss-Newton method: they cost more than they gain.
         """
         weights = (self.row_scale() * rows).reshape(self.measured.shape)
-        differentiate = coupled_hessian if self.alterations else framewise_hessian
 
         def with_weighted_arm(path: PathState) -> PathState:
-            arm = jnp.einsum("tcf,...tcf->...tf", weights, path.moment_arm)
-            return replace(path, moment_arm=arm[..., None, :])
+            # Not `jnp.einsum`, which copies the arms of all modes to another order of axes.
+            own = jnp.broadcast_to(weights, path.moment_arm.shape)
+            return replace(path, moment_arm=jnp.sum(own * path.moment_arm, axis=-2, keepdims=True))
 
         laws = self.variables.laws
         count = self.variables.nonpath_count - laws
+        by_modes = bool(self.variables.modes)
 
-        def of_one(own, single, path, modes, *inputs):
-            law = single[count:]
-
+        def total_of(own, law, *inputs):
             def weighted_sum(single, path):
                 moment, quantities = self._muscle_outputs(jnp.concatenate([single, law]), path, *inputs)
                 total = jnp.sum(moment)
@@ -265,16 +323,38 @@ class Objective(AbstractCalibration):
                         total += multiplier @ penalty.reduce(quantity)
                 return total
 
-            return differentiate(
-                weighted_sum, single[:count], with_weighted_arm(path), with_weighted_arm(modes)
-            )
+            return weighted_sum
 
-        blocks = jax.vmap(of_one)(multipliers, *inputs)
-        if not laws:
-            return blocks
-        kept = np.delete(np.arange(self.variables.scale.shape[1]), np.s_[count : count + laws])
-        full = jnp.zeros((len(blocks), *self.variables.scale.shape[1:] * 2))
-        return full.at[:, kept[:, None], kept[None]].set(blocks)
+        def by_parts(own, single, path, *inputs):
+            total, path = total_of(own, single[count:], *inputs), with_weighted_arm(path)
+            if not by_modes:
+                return jax.hessian(total)(single[:count], path)
+            return None if self.alterations else second_derivatives(total, single[:count], path)
+
+        def of_one(second, own, single, path, modes, *inputs):
+            if not by_modes:
+                return second
+            modes = with_weighted_arm(modes)
+            if not self.alterations:
+                return framewise_hessian(second, modes)
+            total = total_of(own, single[count:], *inputs)
+            return coupled_hessian(total, single[:count], with_weighted_arm(path), modes)
+
+        single, path, _, scale, *others = inputs
+        scale = scale[:, : self.variables.nonpath_count]
+        second = jax.vmap(by_parts)(multipliers, single, path, scale, *others)
+
+        def of_muscles(batch: Batch) -> Float[Array, "muscle local local"]:
+            own, batch_inputs = of_batch(batch, multipliers), self._batch_inputs(inputs, batch)
+            blocks = jax.vmap(of_one)(of_batch(batch, second), own, *batch_inputs)
+            if not laws:
+                return blocks
+            kept = np.delete(np.arange(batch.entries), np.s_[count : count + laws])
+            full = jnp.zeros((len(blocks), batch.entries, batch.entries))
+            return full.at[:, kept[:, None], kept[None]].set(blocks)
+
+        batches = self.variables.batches
+        return LocalBlocks(batches, tuple(map(of_muscles, batches)))
 
     def _path_curvatures(
         self,
@@ -282,7 +362,7 @@ class Objective(AbstractCalibration):
         inputs: tuple,
         rows: Float[Array, " row"],
         multipliers: tuple[Float[Array, "muscle _"], ...],
-    ) -> Float[Array, "muscle local local"]:
+    ) -> LocalBlocks:
         """Compute the part of that sum due to second derivatives of the path by its modes."""
         weights = (self.row_scale() * rows).reshape(self.measured.shape)
         count = self.variables.nonpath_count
@@ -298,14 +378,16 @@ class Objective(AbstractCalibration):
             return jax.grad(weighted_sum)(path)
 
         changes = self.variables.unpack(variables).path_changes
-        scale = jnp.asarray(self.variables.scale)[:, count:]
-        modes = scale.shape[1]
-        _, path, unit_modes, *_ = inputs
-        by_change = jax.tree.map(lambda leaf: jnp.einsum("mk,mk...->mk...", 1.0 / scale, leaf), unit_modes)
-        by_path = jax.vmap(of_one)(multipliers, *inputs)
+        single, path, by_change, scale, *others = inputs
+        by_path = jax.vmap(of_one)(multipliers, single, path, None, scale[:, :count], *others)
         curvature = self.recording.path.curvature(changes, by_path, (path, by_change))
-        block = scale[:, :, None] * curvature[:, :modes, :modes] * scale[:, None, :]
-        return jnp.zeros((len(scale), count + modes, count + modes)).at[:, count:, count:].set(block)
+        unit = scale[:, count:]
+        modes = unit.shape[1]
+        block = unit[:, :, None] * curvature[:, :modes, :modes] * unit[:, None, :]
+        full = jnp.zeros((*scale.shape, scale.shape[1])).at[:, count:, count:].set(block)
+        batches = self.variables.batches
+        parts = [of_batch(batch, full)[:, : batch.entries, : batch.entries] for batch in batches]
+        return LocalBlocks(batches, tuple(parts))
 
     def row_scale(self) -> Float[Array, " row"]:
         """Compute the factor that turns a moment in N m into a residual, for each residual."""
@@ -324,3 +406,22 @@ class Objective(AbstractCalibration):
 
     def _prior_rows(self, variables: Float[Array, " variable"]) -> Float[Array, " variable"]:
         return jnp.asarray(self._prior_weight()) * (variables - self.variables.prior_mean)
+
+
+def _weighted_sum(
+    slopes: Float[Array, "muscle local value"], multiplier: Float[Array, "muscle value"]
+) -> Float[Array, "muscle local 1"]:
+    """Sum the derivatives of each muscle's values, weighted by multipliers."""
+    return jnp.einsum("mk,mpk->mp", multiplier, slopes)[..., None]
+
+
+def symmetric_product(matrix: Float[Array, "row column"]) -> Float[Array, "row row"]:
+    """Multiply a large matrix by its transpose, with a third less operations than a product of two matrices.
+
+    The product is symmetric, so that the lower of its blocks are copies.
+    """
+    if len(matrix) < _SMALL:
+        return matrix @ matrix.T
+    first, second = jnp.array_split(matrix, 2)
+    across = first @ second.T
+    return jnp.block([[symmetric_product(first), across], [across.T, symmetric_product(second)]])

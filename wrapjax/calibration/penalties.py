@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 
 from wrapjax.model.forward import MuscleState
 from wrapjax.model.parameters import ModelParameters
+from wrapjax.model.variables import LocalBlocks
 
 #: Function from the parameters and state of one muscle to a quantity: one number; one per frame, which may
 #: depend on the path in that frame alone; one per frame and coordinate, which may depend on the moment arm
@@ -32,8 +33,8 @@ Reduction = Callable[[Float[Array, "..."]], Float[Array, " value"]]
 class Gram(eqx.Module):
     """Nonzero blocks of ``J'J``, with J the Jacobian of residuals by the local variables of the muscles."""
 
-    #: Diagonal block of every muscle.
-    own: Float[Array, "muscle local local"]
+    #: Diagonal block of every muscle; None for zeros.
+    own: LocalBlocks | None
     #: Block of each group of muscles: the indices of its members, and the block of their local variables.
     groups: tuple[tuple[tuple[int, ...], Float[Array, "_ _"]], ...] = ()
 
@@ -50,9 +51,7 @@ class AbstractPenalty(eqx.Module):
         """Compute the residuals from the reduced quantity of all muscles."""
 
     @abstractmethod
-    def gram_matrix(
-        self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]
-    ) -> Gram:
+    def gram_matrix(self, values: Float[Array, "muscle value"], slopes: LocalBlocks) -> Gram:
         """Compute ``J'J`` of the residuals from the reduced quantity and its derivatives."""
 
     def values(self, parameters: ModelParameters, states: MuscleState) -> Float[Array, "muscle value"]:
@@ -73,12 +72,10 @@ class MusclePenalty(AbstractPenalty):
         """Divide by the allowable error and the root of the number of values."""
         return (values - self.center) / (self.allowable_error * np.sqrt(values.size))
 
-    def gram_matrix(
-        self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]
-    ) -> Gram:
+    def gram_matrix(self, values: Float[Array, "muscle value"], slopes: LocalBlocks) -> Gram:
         """Compute one block per muscle."""
         weight = 1.0 / (self.allowable_error**2 * values.size)
-        return Gram(weight * jnp.einsum("mpk,mqk->mpq", slopes, slopes))
+        return Gram(slopes.map(lambda own: weight * _squares(own)))
 
 
 class SubsetPenalty(AbstractPenalty):
@@ -94,12 +91,10 @@ class SubsetPenalty(AbstractPenalty):
         """Divide by the allowable error and the root of the number of penalised values."""
         return self._weight(values) * values
 
-    def gram_matrix(
-        self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]
-    ) -> Gram:
+    def gram_matrix(self, values: Float[Array, "muscle value"], slopes: LocalBlocks) -> Gram:
         """Compute one block per muscle."""
         weight = self._weight(values)[:, :, None] ** 2
-        return Gram(weight * jnp.einsum("mpk,mqk->mpq", slopes, slopes))
+        return Gram(slopes.map(lambda own, weight: weight * _squares(own), weight))
 
     def _weight(self, values: Float[Array, "muscle value"]) -> Float[Array, "muscle 1"]:
         weight = np.zeros((values.shape[0], 1))
@@ -131,19 +126,18 @@ class GroupPenalty(AbstractPenalty):
             rows = rows.at[members].set(change[members] - change[members].mean(axis=0, keepdims=True))
         return rows * self._weight(values)
 
-    def gram_matrix(
-        self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]
-    ) -> Gram:
+    def gram_matrix(self, values: Float[Array, "muscle value"], slopes: LocalBlocks) -> Gram:
         """Compute one block per group; the muscles of a group are coupled."""
-        local = slopes.shape[1]
         blocks = []
         for group in self.groups:
-            group_slopes = slopes[np.array(group)].reshape(-1, slopes.shape[-1])
+            by_muscle = [slopes.of_muscle(muscle) for muscle in group]
+            group_slopes = jnp.concatenate(by_muscle)
+            member = np.repeat(np.arange(len(group)), [len(one) for one in by_muscle])
             # Subtraction of the mean is a projection, so its square is itself.
             projection = np.eye(len(group)) - 1.0 / len(group)
-            shares = self._weight(values) ** 2 * jnp.asarray(np.kron(projection, np.ones((local, local))))
+            shares = self._weight(values) ** 2 * jnp.asarray(projection[member[:, None], member])
             blocks.append((group, shares * (group_slopes @ group_slopes.T)))
-        return Gram(jnp.zeros((slopes.shape[0], local, local)), tuple(blocks))
+        return Gram(None, tuple(blocks))
 
     def _weight(self, values: Float[Array, "muscle value"]) -> float:
         members = sum(len(group) for group in self.groups)
@@ -175,12 +169,17 @@ class Limit(AbstractPenalty):
         """Compute the weighted excess over the shifted bound; zero below it."""
         return jnp.sqrt(self.weight) * jnp.maximum(self.excess(values) + self.shift, 0.0)
 
-    def gram_matrix(
-        self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]
-    ) -> Gram:
+    def gram_matrix(self, values: Float[Array, "muscle value"], slopes: LocalBlocks) -> Gram:
         """Compute one block per muscle from the values above the shifted bound."""
         above = self.weight * self.factor**2 * (self.excess(values) + self.shift > 0.0)
-        return Gram(jnp.einsum("mpk,mqk,mk->mpq", slopes, slopes, above))
+        return Gram(slopes.map(lambda own, above: _squares(own, above[:, None]), above))
+
+
+def _squares(
+    slopes: Float[Array, "muscle local value"], weight: Float[Array, "muscle 1 value"] | float = 1.0
+) -> Float[Array, "muscle local local"]:
+    """Sum the weighted products of derivatives by two local entries over the values of each muscle."""
+    return jnp.einsum("mpk,mqk->mpq", slopes * weight, slopes)
 
 
 def flatten(quantity: Float[Array, "*shape"]) -> Float[Array, " value"]:

@@ -11,13 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from wrapjax.calibration.objective import Objective
+from wrapjax.calibration.objective import MOMENT_ERROR, Objective
 from wrapjax.calibration.path_penalties import feasibility_limits, path_limits, proximity_penalty
 from wrapjax.calibration.penalties import pipeline_penalties
 from wrapjax.calibration.sample_weights import moment_errors_by_weight
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
 from wrapjax.errors import InputError, Problem
-from wrapjax.geometry.paths import PathState, fixed_path
+from wrapjax.geometry.paths import AdjustablePath, PathState, fixed_path
 from wrapjax.io.files import content_hash
 from wrapjax.io.store import fingerprint
 from wrapjax.jax_setup import require_float64
@@ -25,7 +25,7 @@ from wrapjax.model.alteration import tendon_alterations
 from wrapjax.model.forward import muscle_states
 from wrapjax.model.freedom import Freedom
 from wrapjax.model.parameters import ModelParameters, with_muscle_law, with_path_modes
-from wrapjax.model.variables import free_variables
+from wrapjax.model.variables import Variables, free_variables
 from wrapjax.muscle.curves import hill_curves
 from wrapjax.muscle.published_laws import GIVEN_LAW
 from wrapjax.path_sources.exact import SURFACES, ExactGeometry, exact_geometry
@@ -141,7 +141,7 @@ def build_stages(
         ),
         limits=(),
         alterations=alterations,
-        **({} if errors is None else {"moment_error": errors}),
+        moment_error=np.array(MOMENT_ERROR) if errors is None else errors,
     )
     if freedom.paths is None and freedom.wraps is None:
         return (held,)
@@ -151,12 +151,22 @@ def build_stages(
         variables=free_variables(with_path_modes(base, paths.modes_count), freedom, names),
     )
     if freedom.wraps is None:
-        return held, replace(moving, limits=path_limits(paths.nominal))
+        assert isinstance(paths, AdjustablePath), "paths with free coefficients are linear in them"
+        crossing = crossing_variables(paths, moving.variables)
+        return held, replace(moving, limits=path_limits(paths.nominal), crossing=crossing)
     proximity = () if paths.nominal.proximity is None else (proximity_penalty(len(names)),)
     moving = replace(
         moving, penalties=(*held.penalties, *proximity), limits=feasibility_limits(paths.nominal)
     )
     return held, moving
+
+
+def crossing_variables(paths: AdjustablePath, variables: Variables) -> tuple[tuple[int, ...], ...]:
+    """Find the variables of the muscles with a moment arm about each coordinate, for `Objective.crossing`."""
+    nominal = (np.asarray(paths.nominal.moment_arm) != 0.0).any(axis=(1, 3))
+    changed = (np.asarray(paths.modes.moment_arm) != 0.0).any(axis=(1, 2, 4))
+    crosses = nominal | changed
+    return tuple(tuple(np.setdiff1d(variables.index[own], variables.count).tolist()) for own in crosses.T)
 
 
 def fit_for_methods(

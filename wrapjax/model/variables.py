@@ -2,19 +2,71 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
+from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from wrapjax.model.freedom import Freedom
 from wrapjax.model.parameters import ModelParameters, with_path_modes
 
 #: Owner of the parameters of the muscle law in labels of variables.
 LAW_OWNER = "muscle_law"
+#: Largest number of batches of muscles; programs are compiled for each.
+MAX_BATCHES = 5
+
+
+class Batch(NamedTuple):
+    """Muscles with similar numbers of free local entries.
+
+    Muscles have 5 to 91 path modes. Padded to the same number for all muscles, two thirds of all derivatives
+    by local entries would be zeros.
+    """
+
+    muscles: tuple[int, ...]
+    #: Number of local entries, of which the last ones of some muscles may be held.
+    entries: int
+
+
+class LocalBlocks(eqx.Module):
+    """Derivatives by the local entries of all muscles, batch by batch."""
+
+    batches: tuple[Batch, ...] = eqx.field(static=True)
+    #: The axes of each part are ``muscle local``, followed by others.
+    parts: tuple[Float[Array, "_ _ ..."], ...]
+
+    def map(self, function: Callable[..., Array], *by_muscle: Float[Array, "_ ..."]) -> LocalBlocks:
+        """Apply a function to the part of each batch, and to the rows of its muscles in other arrays."""
+        parts = [
+            function(part, *(of_batch(batch, array) for array in by_muscle))
+            for batch, part in zip(self.batches, self.parts, strict=True)
+        ]
+        return LocalBlocks(self.batches, tuple(parts))
+
+    def of_muscle(self, muscle: int) -> Float[Array, "local ..."]:
+        """Select the derivatives by the local entries of one muscle."""
+        for batch, part in zip(self.batches, self.parts, strict=True):
+            if muscle in batch.muscles:
+                return part[batch.muscles.index(muscle)]
+        raise IndexError(f"there is no muscle {muscle}")
+
+    def __add__(self, other: LocalBlocks) -> LocalBlocks:
+        """Add the parts of the same batches."""
+        pairs = zip(self.parts, other.parts, strict=True)
+        return LocalBlocks(self.batches, tuple(one + another for one, another in pairs))
+
+
+def of_batch(batch: Batch, tree: PyTree) -> PyTree:
+    """Select the rows of the muscles of a batch from all arrays, whose first axis is ``muscle``."""
+    if batch.muscles == tuple(range(len(batch.muscles))):
+        return jax.tree.map(lambda leaf: leaf[: len(batch.muscles)], tree)
+    return jax.tree.map(lambda leaf: leaf[np.array(batch.muscles)], tree)
 
 
 class Variables(eqx.Module):
@@ -40,7 +92,10 @@ class Variables(eqx.Module):
     scale: Float[np.ndarray, "muscle local"]
     #: Variable of each local entry; the number of variables for an entry that is held.
     index: Int[np.ndarray, "muscle local"]
-    #: Flat positions of each variable in ``index``, one row for each muscle that may share it.
+    #: Muscles with similar numbers of free local entries; their derivatives are computed together.
+    batches: tuple[Batch, ...] = eqx.field(static=True)
+    #: Flat positions of each variable in `LocalBlocks` of these batches, one row for each muscle that may
+    #: share it.
     places: Int[np.ndarray, "layer variable"]
     lower: Float[np.ndarray, " variable"]
     upper: Float[np.ndarray, " variable"]
@@ -111,9 +166,9 @@ class Variables(eqx.Module):
             names.append("law")
         return eqx.tree_at(lambda tree: [getattr(tree, name) for name in names], parameters, replace=leaves)
 
-    def gather(self, blocks: Float[Array, "muscle local row"]) -> Float[Array, "variable row"]:
+    def gather(self, blocks: LocalBlocks) -> Float[Array, "variable row"]:
         """Sum derivatives by local entries into derivatives by variables (chain rule)."""
-        flat = blocks.reshape(-1, blocks.shape[-1])
+        flat = jnp.concatenate([part.reshape(-1, part.shape[-1]) for part in blocks.parts])
         if len(self.places) == 1:
             return flat[self.places[0]]
         flat = jnp.concatenate([flat, jnp.zeros_like(flat[:1])])
@@ -121,7 +176,7 @@ class Variables(eqx.Module):
 
     def assemble(
         self,
-        own: Float[Array, "muscle local local"],
+        own: LocalBlocks,
         groups: Mapping[tuple[int, ...], Float[Array, "_ _"]] = MappingProxyType({}),
     ) -> Float[Array, "variable variable"]:
         """Assemble second derivatives by local entries into those by variables.
@@ -133,25 +188,52 @@ class Variables(eqx.Module):
         groups
             Second derivatives by the entries of several muscles, by the indices of these muscles.
         """
-        rows = [jnp.repeat(self.index, self.index.shape[1], axis=1).ravel()]
-        columns = [jnp.tile(self.index, (1, self.index.shape[1])).ravel()]
+        rows, columns = [], []
+        for batch in self.batches:
+            index = of_batch(batch, self.index)[:, : batch.entries]
+            rows.append(jnp.repeat(index, batch.entries, axis=1).ravel())
+            columns.append(jnp.tile(index, (1, batch.entries)).ravel())
+        entries = {muscle: batch.entries for batch in self.batches for muscle in batch.muscles}
         for members in groups:
-            index = self.index[np.array(members)].ravel()
+            index = jnp.concatenate([self.index[muscle, : entries[muscle]] for muscle in members])
             rows.append(jnp.repeat(index, len(index)))
             columns.append(jnp.tile(index, len(index)))
-        values = jnp.concatenate([own.ravel(), *(block.ravel() for block in groups.values())])
+        values = jnp.concatenate([block.ravel() for block in (*own.parts, *groups.values())])
         # One scatter for all blocks: each scatter would allocate a matrix of its own.
         total = jnp.zeros((self.count + 1, self.count + 1))
         return total.at[jnp.concatenate(rows), jnp.concatenate(columns)].add(values)[:-1, :-1]
 
 
-def _places(index: Int[np.ndarray, "muscle local"], count: int) -> Int[np.ndarray, "layer variable"]:
-    """Find the first, second, ... position of each variable in ``index``; its size past the last one."""
-    order = np.argsort(index, axis=None, kind="stable")
-    variable_of = index.ravel()[order]
+def divide_muscles(free: Bool[np.ndarray, "muscle local"]) -> tuple[Batch, ...]:
+    """Divide the muscles into the batches that need the least padding, in the order of their entries."""
+    needed = free.shape[1] - np.argmax(free[:, ::-1], axis=1)
+    order = np.argsort(needed, kind="stable")
+    sizes = needed[order].tolist()
+    ends = np.flatnonzero(np.diff(sizes)) + 1
+
+    def divided(cuts: tuple[int, ...]) -> list[tuple[int, int]]:
+        return list(itertools.pairwise((0, *cuts, len(sizes))))
+
+    def padded(cuts: tuple[int, ...]) -> int:
+        return sum((last - first) * sizes[last - 1] for first, last in divided(cuts))
+
+    choices = itertools.combinations(ends.tolist(), min(MAX_BATCHES - 1, len(ends)))
+    return tuple(
+        Batch(tuple(sorted(order[first:last].tolist())), sizes[last - 1])
+        for first, last in divided(min(choices, key=padded))
+    )
+
+
+def _places(
+    index: Int[np.ndarray, "muscle local"], batches: Sequence[Batch], count: int
+) -> Int[np.ndarray, "layer variable"]:
+    """Find the first, second, ... position of each variable in local blocks; their size past the last one."""
+    flat = np.concatenate([index[list(one.muscles), : one.entries].ravel() for one in batches])
+    order = np.argsort(flat, kind="stable")
+    variable_of = flat[order]
     order, variable_of = order[variable_of < count], variable_of[variable_of < count]
     occurrence = np.arange(len(variable_of)) - np.searchsorted(variable_of, variable_of)
-    places = np.full((int(occurrence.max()) + 1, count), index.size)
+    places = np.full((int(occurrence.max()) + 1, count), flat.size)
     places[occurrence, variable_of] = order
     return places
 
@@ -245,6 +327,9 @@ def free_variables(base: ModelParameters, freedom: Freedom, muscles: Sequence[st
             bounds[name] = np.append(bounds[name], (getattr(wraps, name) / wraps.scale)[freed_entries])
         prior_mean = np.append(prior_mean, np.zeros(freed_entries.sum()))
         prior_precision = np.append(prior_precision, (wraps.scale / wraps.prior_sd)[freed_entries])
+    # The derivatives of paths by wrap parameters are computed for all muscles at once.
+    everything = Batch(tuple(range(count)), scale.shape[-1])
+    batches = (everything,) if paths is None else divide_muscles(index < total)
     return Variables(
         base=base,
         names=tuple(parameter.name for parameter in freed),
@@ -253,7 +338,8 @@ def free_variables(base: ModelParameters, freedom: Freedom, muscles: Sequence[st
         modes=modes,
         scale=scale,
         index=index,
-        places=_places(index, len(labels)),
+        batches=batches,
+        places=_places(index, batches, len(labels)),
         lower=bounds["lower"],
         upper=bounds["upper"],
         prior_mean=prior_mean,
