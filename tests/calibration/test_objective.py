@@ -114,10 +114,16 @@ def test_products_by_coordinate_equal_those_of_the_whole_jacobian():
     found = dataclasses.replace(plain, crossing=crossing).linearized_at(point)
     whole = plain.linearized_at(point)
     np.testing.assert_allclose(found.gauss_newton, whole.gauss_newton, rtol=1e-12, atol=1e-12)
+    no_arms = dataclasses.replace(path.nominal, moment_arm=jnp.zeros_like(nominal))
+    no_changes = dataclasses.replace(path.modes, moment_arm=jnp.zeros_like(changed))
+    assert crossing_variables(AdjustablePath(no_arms, no_changes), plain.variables) == ((), ())
     left_out = tuple(own[:-1] for own in crossing)
     assert not np.allclose(
         dataclasses.replace(plain, crossing=left_out).linearized_at(point).gauss_newton, whole.gauss_newton
     )
+    # A coordinate that no muscle crosses contributes nothing.
+    first_alone = dataclasses.replace(plain, crossing=(crossing[0], ())).linearized_at(point)
+    assert bool(jnp.isfinite(first_alone.gauss_newton).all())
 
 
 @pytest.mark.parametrize("rows", [3, 299, 300, 731])

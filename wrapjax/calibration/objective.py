@@ -212,7 +212,7 @@ class Objective(AbstractCalibration):
             return transposed @ transposed.T
         by_coordinate = transposed.reshape(len(transposed), *self.measured.shape)
         total = jnp.zeros((len(transposed), len(transposed)))
-        for crossing in dict.fromkeys(self.crossing):
+        for crossing in filter(None, dict.fromkeys(self.crossing)):
             coordinates = [place for place, own in enumerate(self.crossing) if own == crossing]
             chosen = np.array(crossing)
             own = by_coordinate[chosen][:, :, np.array(coordinates)].reshape(len(chosen), -1)
@@ -231,15 +231,14 @@ class Objective(AbstractCalibration):
         emg, parts = altered_emg(self.recording.emg, self.alterations), muscle_alterations(self.alterations)
         return single, path, by_change, scale, self.variables.base, emg, parts
 
-    def _batch_inputs(self, inputs: tuple, batch: Batch) -> tuple:
-        """Select the arguments for the muscles of a batch, with the modes that they have, in solver units."""
+    def _unit_modes(self, inputs: tuple, batch: Batch) -> PathState:
+        """Compute the change of the paths of a batch per solver unit of each mode that it has."""
         count = self.variables.nonpath_count
-        single, path, by_change, scale, *others = of_batch(batch, inputs)
+        _, _, by_change, scale, *_ = of_batch(batch, inputs)
         unit = scale[:, count : batch.entries]
-        unit_modes = jax.tree.map(
+        return jax.tree.map(
             lambda leaf: jnp.einsum("mk,mk...->mk...", unit, leaf[:, : batch.entries - count]), by_change
         )
-        return single, path, unit_modes, scale[:, :count], *others
 
     def _muscle_outputs(self, single, path, scale, base, emg, parts):
         """Compute the moment of one muscle and the quantities of its penalties and limits."""
@@ -259,19 +258,25 @@ class Objective(AbstractCalibration):
             moment, quantities = outputs
             return moment, tuple(map(lambda reduce, one: reduce(one), reductions, quantities))
 
-        def by_parts(single, path, *inputs):
+        def of_one(single, path, modes, *inputs):
             outputs = self._outputs_of(*inputs)
             values, by_single = scalar_jacobian(outputs, single, path)
-            by_path = path_jacobian(outputs, single, path) if by_modes and not self.alterations else None
-            return reduced(values), by_single, by_path
+            if not by_modes:
+                return reduced(values), by_single, None
+            along = (
+                coupled_jacobian(outputs, single, path, modes)
+                if self.alterations
+                else path_jacobian(outputs, single, path)
+            )
+            return reduced(values), by_single, along
 
-        def of_one(by_single, by_path, single, path, modes, *inputs):
+        def by_local(by_single, along, modes):
             slopes = by_single
             if by_modes:
                 along = (
-                    coupled_jacobian(self._outputs_of(*inputs), single, path, modes)
+                    jax.tree.map(lambda leaf: leaf[: len(modes.length)], along)
                     if self.alterations
-                    else framewise_jacobian(by_path, modes)
+                    else framewise_jacobian(along, modes)
                 )
                 slopes = jax.tree.map(lambda *both: jnp.concatenate(both), by_single, along)
             moment_slope, value_slopes = jax.vmap(reduced)(slopes)
@@ -280,9 +285,13 @@ class Objective(AbstractCalibration):
 
         single, path, _, scale, *others = inputs
         count, batches = self.variables.nonpath_count, self.variables.batches
-        (moment, values), *by = jax.vmap(by_parts)(single, path, scale[:, :count], *others)
+        modes = self._unit_modes(inputs, self.variables.all_muscles)
+        (moment, values), by_single, along = jax.vmap(of_one)(single, path, modes, scale[:, :count], *others)
         parts = [
-            jax.vmap(of_one)(*of_batch(batch, by), *self._batch_inputs(inputs, batch)) for batch in batches
+            jax.vmap(by_local)(
+                of_batch(batch, by_single), of_batch(batch, along), self._unit_modes(inputs, batch)
+            )
+            for batch in batches
         ]
         moment_slopes, value_slopes = jax.tree.map(lambda *own: LocalBlocks(batches, own), *parts)
         return moment, values, moment_slopes, value_slopes
@@ -314,7 +323,9 @@ class Objective(AbstractCalibration):
         count = self.variables.nonpath_count - laws
         by_modes = bool(self.variables.modes)
 
-        def total_of(own, law, *inputs):
+        def of_one(own, single, path, modes, *inputs):
+            law = single[count:]
+
             def weighted_sum(single, path):
                 moment, quantities = self._muscle_outputs(jnp.concatenate([single, law]), path, *inputs)
                 total = jnp.sum(moment)
@@ -323,30 +334,26 @@ class Objective(AbstractCalibration):
                         total += multiplier @ penalty.reduce(quantity)
                 return total
 
-            return weighted_sum
-
-        def by_parts(own, single, path, *inputs):
-            total, path = total_of(own, single[count:], *inputs), with_weighted_arm(path)
+            single, path = single[:count], with_weighted_arm(path)
             if not by_modes:
-                return jax.hessian(total)(single[:count], path)
-            return None if self.alterations else second_derivatives(total, single[:count], path)
+                return jax.hessian(weighted_sum)(single, path)
+            if self.alterations:
+                return coupled_hessian(weighted_sum, single, path, with_weighted_arm(modes))
+            return second_derivatives(weighted_sum, single, path)
 
-        def of_one(second, own, single, path, modes, *inputs):
-            if not by_modes:
-                return second
-            modes = with_weighted_arm(modes)
-            if not self.alterations:
-                return framewise_hessian(second, modes)
-            total = total_of(own, single[count:], *inputs)
-            return coupled_hessian(total, single[:count], with_weighted_arm(path), modes)
+        def by_local(second, modes):
+            if by_modes and not self.alterations:
+                return framewise_hessian(second, with_weighted_arm(modes))
+            kept = count + len(modes.length)
+            return second[:kept, :kept]
 
         single, path, _, scale, *others = inputs
+        modes = self._unit_modes(inputs, self.variables.all_muscles)
         scale = scale[:, : self.variables.nonpath_count]
-        second = jax.vmap(by_parts)(multipliers, single, path, scale, *others)
+        second = jax.vmap(of_one)(multipliers, single, path, modes, scale, *others)
 
         def of_muscles(batch: Batch) -> Float[Array, "muscle local local"]:
-            own, batch_inputs = of_batch(batch, multipliers), self._batch_inputs(inputs, batch)
-            blocks = jax.vmap(of_one)(of_batch(batch, second), own, *batch_inputs)
+            blocks = jax.vmap(by_local)(of_batch(batch, second), self._unit_modes(inputs, batch))
             if not laws:
                 return blocks
             kept = np.delete(np.arange(batch.entries), np.s_[count : count + laws])

@@ -115,6 +115,11 @@ class Variables(eqx.Module):
         """Number of local entries of a muscle that are not path modes."""
         return len(self.names) + self.weights + self.laws
 
+    @property
+    def all_muscles(self) -> Batch:
+        """All muscles, padded to the same number of local entries."""
+        return Batch(tuple(range(self.index.shape[0])), self.index.shape[1])
+
     def start(self) -> Float[Array, " variable"]:
         """Compute the variables of the base parameters, clipped to the bounds."""
         return jnp.clip(self.pack(self.base), self.lower, self.upper)
