@@ -111,7 +111,7 @@ def test_products_by_coordinate_equal_those_of_the_whole_jacobian():
     assert labels == [set(MUSCLES), set(MUSCLES[:2])]
     generator = np.random.default_rng(2)
     point = plain.start(plain.initial) + jnp.asarray(0.05 * generator.normal(size=plain.variables.count))
-    found = dataclasses.replace(plain, crossing=crossing).linearized_at(point)
+    found = dataclasses.replace(plain, crossing_variables=crossing).linearized_at(point)
     whole = plain.linearized_at(point)
     np.testing.assert_allclose(found.gauss_newton, whole.gauss_newton, rtol=1e-12, atol=1e-12)
     no_arms = dataclasses.replace(path.nominal, moment_arm=jnp.zeros_like(nominal))
@@ -119,10 +119,11 @@ def test_products_by_coordinate_equal_those_of_the_whole_jacobian():
     assert crossing_variables(AdjustablePath(no_arms, no_changes), plain.variables) == ((), ())
     left_out = tuple(own[:-1] for own in crossing)
     assert not np.allclose(
-        dataclasses.replace(plain, crossing=left_out).linearized_at(point).gauss_newton, whole.gauss_newton
+        dataclasses.replace(plain, crossing_variables=left_out).linearized_at(point).gauss_newton,
+        whole.gauss_newton,
     )
     # A coordinate that no muscle crosses contributes nothing.
-    first_alone = dataclasses.replace(plain, crossing=(crossing[0], ())).linearized_at(point)
+    first_alone = dataclasses.replace(plain, crossing_variables=(crossing[0], ())).linearized_at(point)
     assert bool(jnp.isfinite(first_alone.gauss_newton).all())
 
 

@@ -38,7 +38,7 @@ from wrapjax.muscle.curves import AbstractCurves
 #: Allowable error of a joint moment, N m (the default of the NMSM Pipeline).
 MOMENT_ERROR = 2.5
 #: Number of rows below which a symmetric product is not divided.
-_SMALL = 300
+_UNDIVIDED_ROWS = 300
 
 
 class Objective(AbstractCalibration):
@@ -66,7 +66,7 @@ class Objective(AbstractCalibration):
     alterations: tuple[Alteration, ...] = ()
     #: Variables of the muscles that cross each coordinate, by which alone its moment can change; empty where
     #: this is not known.
-    crossing: tuple[tuple[int, ...], ...] = eqx.field(static=True, default=())
+    crossing_variables: tuple[tuple[int, ...], ...] = eqx.field(static=True, default=())
 
     def __check_init__(self):
         # An altered path may depend on the paths of several muscles, whose modes then affect other forces.
@@ -208,12 +208,12 @@ class Objective(AbstractCalibration):
         A muscle crosses one to four of the coordinates. Products by coordinate need a third of the operations
         where every muscle has many variables.
         """
-        if not self.crossing:
+        if not self.crossing_variables:
             return transposed @ transposed.T
         by_coordinate = transposed.reshape(len(transposed), *self.measured.shape)
         total = jnp.zeros((len(transposed), len(transposed)))
-        for crossing in filter(None, dict.fromkeys(self.crossing)):
-            coordinates = [place for place, own in enumerate(self.crossing) if own == crossing]
+        for crossing in filter(None, dict.fromkeys(self.crossing_variables)):
+            coordinates = [place for place, own in enumerate(self.crossing_variables) if own == crossing]
             chosen = np.array(crossing)
             own = by_coordinate[chosen][:, :, np.array(coordinates)].reshape(len(chosen), -1)
             total = total.at[chosen[:, None], chosen].add(symmetric_product(own))
@@ -423,11 +423,11 @@ def _weighted_sum(
 
 
 def symmetric_product(matrix: Float[Array, "row column"]) -> Float[Array, "row row"]:
-    """Multiply a large matrix by its transpose, with a third less operations than a product of two matrices.
+    """Multiply a large matrix by its transpose, with a third fewer operations than usual.
 
     The product is symmetric, so that the lower of its blocks are copies.
     """
-    if len(matrix) < _SMALL:
+    if len(matrix) < _UNDIVIDED_ROWS:
         return matrix @ matrix.T
     first, second = jnp.array_split(matrix, 2)
     across = first @ second.T

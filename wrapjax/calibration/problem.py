@@ -153,7 +153,7 @@ def build_stages(
     if freedom.wraps is None:
         assert isinstance(paths, AdjustablePath), "paths with free coefficients are linear in them"
         crossing = crossing_variables(paths, moving.variables)
-        return held, replace(moving, limits=path_limits(paths.nominal), crossing=crossing)
+        return held, replace(moving, limits=path_limits(paths.nominal), crossing_variables=crossing)
     proximity = () if paths.nominal.proximity is None else (proximity_penalty(len(names)),)
     moving = replace(
         moving, penalties=(*held.penalties, *proximity), limits=feasibility_limits(paths.nominal)
@@ -162,7 +162,7 @@ def build_stages(
 
 
 def crossing_variables(paths: AdjustablePath, variables: Variables) -> tuple[tuple[int, ...], ...]:
-    """Find the variables of the muscles with a moment arm about each coordinate, for `Objective.crossing`."""
+    """Find the variables of the muscles with a moment arm about each coordinate."""
     nominal = (np.asarray(paths.nominal.moment_arm) != 0.0).any(axis=(1, 3))
     changed = (np.asarray(paths.modes.moment_arm) != 0.0).any(axis=(1, 2, 4))
     crosses = nominal | changed

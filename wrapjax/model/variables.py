@@ -25,8 +25,8 @@ MAX_BATCHES = 5
 class Batch(NamedTuple):
     """Muscles with similar numbers of free local entries.
 
-    Muscles have 5 to 91 path modes. Padded to the same number for all muscles, two thirds of all derivatives
-    by local entries would be zeros.
+    The muscles of a leg have 5 to 91 path modes where coefficients are free (SGA). Padded to the same number
+    for all muscles, two thirds of all derivatives by local entries would be zeros.
     """
 
     muscles: tuple[int, ...]
