@@ -92,7 +92,8 @@ def compilation(case: Case) -> list[Metric]:
             "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         }
         usual = {
-            "XLA_FLAGS": "--xla_cpu_use_fusion_emitters=true --xla_backend_optimization_level=3",
+            "XLA_FLAGS": "--xla_cpu_use_fusion_emitters=true --xla_backend_optimization_level=3 "
+            "--xla_backend_extra_options=-disable-lsr=false",
             "JAX_COMPILATION_CACHE_DIR": str(Path(folder) / "usual"),
         }
         words = [

@@ -11,7 +11,8 @@ import wrapjax.jax_setup
 from wrapjax.jax_setup import choose_compiler_options
 
 EMITTERS, LEVEL = "--xla_cpu_use_fusion_emitters", "--xla_backend_optimization_level"
-OURS = f"{EMITTERS}=false {LEVEL}=1"
+EXTRA = "--xla_backend_extra_options=-disable-lsr=true,-vectorize-slp=false"
+OURS = f"{EMITTERS}=false {LEVEL}=1 {EXTRA}"
 
 
 @pytest.mark.parametrize(
@@ -19,8 +20,13 @@ OURS = f"{EMITTERS}=false {LEVEL}=1"
     [
         ("0.10.2", "", OURS),
         ("0.10.2", "--xla_dump_to=x", f"--xla_dump_to=x {OURS}"),
-        ("0.10.2", f"{EMITTERS}=true", f"{EMITTERS}=true {LEVEL}=1"),
-        ("0.10.2", f"{LEVEL}=3", f"{LEVEL}=3 {EMITTERS}=false"),
+        ("0.10.2", f"{EMITTERS}=true", f"{EMITTERS}=true {LEVEL}=1 {EXTRA}"),
+        ("0.10.2", f"{LEVEL}=3", f"{LEVEL}=3 {EMITTERS}=false {EXTRA}"),
+        (
+            "0.10.2",
+            "--xla_backend_extra_options=-a",
+            f"--xla_backend_extra_options=-a {EMITTERS}=false {LEVEL}=1",
+        ),
         # Another version may not know it, and would end the process.
         ("0.99.0", "--xla_dump_to=x", "--xla_dump_to=x"),
     ],
