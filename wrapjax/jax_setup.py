@@ -40,9 +40,8 @@ def choose_compiler_options() -> None:
     first level saves an eighth of the compilation of NGA and next to nothing of that of SGA. Without LLVM's
     rewriting of addresses in loops (LSR) and vectorizing of straight-line code (SLP) SGA is compiled in 17 %
     less processor time. Its vectorizing of loops stays: paths round cylinders take twice as long without it.
-    Level 0 would take half the time, but its programs run up to three times as long, and some
-    have returned NaN.
-    Options that the user has set in ``XLA_FLAGS`` are kept.
+    Level 0 would take half the time, but its programs run up to three times as long, and some have returned
+    NaN. Options that the user has set in ``XLA_FLAGS`` are kept.
     """
     series = version("jaxlib").rsplit(".", 1)[0]
     added = [
