@@ -22,7 +22,7 @@ from benchmarks.timing import median_seconds
 from benchmarks.wrap_surfaces import KINDS, swept_path
 from validation.wrapping.single_path import COORDINATES, write_model
 from wrapjax.calibration.objective import Objective
-from wrapjax.geometry.engine import PosedPath, wrap_at_samples
+from wrapjax.geometry.exact_paths.engine import PosedPath, wrap_at_samples
 from wrapjax.path_sources.muscle_paths import PosedMuscles, muscle_paths
 from wrapjax.subject.subject import Subject
 

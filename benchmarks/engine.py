@@ -18,9 +18,9 @@ from jaxtyping import Float
 from benchmarks.metric import INFORMATION, Metric
 from benchmarks.opensim_moment_arms import compute_moment_arm_seconds
 from benchmarks.timing import median_seconds
-from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, PosedPath, wrap_at_samples
-from wrapjax.geometry.training_samples import random_poses
-from wrapjax.geometry.wrap_bounds import NARROWER_TRANSLATIONS, hammersley, parameter_box
+from wrapjax.geometry.exact_paths.engine import GEODESIC, PARITY, ExactPaths, PosedPath, wrap_at_samples
+from wrapjax.geometry.surrogates.training_samples import random_poses
+from wrapjax.geometry.surrogates.wrap_bounds import NARROWER_TRANSLATIONS, hammersley, parameter_box
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.path_engine import PathEngine
 from wrapjax.subject.subject import Subject

@@ -156,7 +156,7 @@ def _evaluate(
 
 def main() -> None:
     from wrapjax import load_subject
-    from wrapjax.geometry.training_samples import angle_ranges, random_poses
+    from wrapjax.geometry.surrogates.training_samples import angle_ranges, random_poses
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("subject", type=Path, help="subject folder")

@@ -23,9 +23,9 @@ import numpy as np
 from benchmarks.case import Case
 from benchmarks.metric import Metric
 from benchmarks.timing import median_seconds
-from wrapjax.geometry.engine import GEODESIC, ExactPaths, PosedPath
-from wrapjax.geometry.training_samples import random_poses
-from wrapjax.geometry.wrap_bounds import NARROWER_TRANSLATIONS, hammersley, parameter_box
+from wrapjax.geometry.exact_paths.engine import GEODESIC, ExactPaths, PosedPath
+from wrapjax.geometry.surrogates.training_samples import random_poses
+from wrapjax.geometry.surrogates.wrap_bounds import NARROWER_TRANSLATIONS, hammersley, parameter_box
 from wrapjax.osim.model import describe_model
 from wrapjax.subject.subject import Subject
 

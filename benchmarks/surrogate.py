@@ -9,8 +9,8 @@ import numpy as np
 
 from benchmarks.metric import INFORMATION, Metric
 from benchmarks.polynomial_path_fitter import SEED, UNSEEN_POSES, fit_with_opensim
-from wrapjax.geometry.surrogate import fit_surrogate
-from wrapjax.geometry.training_samples import angle_ranges, fastest_cycle_poses, random_poses
+from wrapjax.geometry.surrogates.surrogate import fit_surrogate
+from wrapjax.geometry.surrogates.training_samples import angle_ranges, fastest_cycle_poses, random_poses
 from wrapjax.osim.model import describe_model, spanned_coordinates
 from wrapjax.osim.muscle_analysis import analyse_muscles
 from wrapjax.path_sources.path_fitting import path_errors

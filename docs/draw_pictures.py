@@ -16,8 +16,8 @@ import numpy as np
 from PIL import Image
 
 import wrapjax
-from wrapjax.geometry.engine import ExactPaths, nominal_parameters, wrap_at_samples
-from wrapjax.geometry.wrapping import WRAP_PARAMETERS
+from wrapjax.geometry.exact_paths.engine import ExactPaths, nominal_parameters, wrap_at_samples
+from wrapjax.geometry.exact_paths.wrapping import WRAP_PARAMETERS
 from wrapjax.io.storage import read_storage
 from wrapjax.jax_setup import set_up_jax
 from wrapjax.osim.model import describe_model

@@ -118,8 +118,8 @@ ARROWS: dict[str, set[str]] = {
     "api": {"__init__"},
 }
 
-#: Modules of `geometry` that describe a model's bodies and joints by NumPy alone.
-SKELETON = {"functions", "model_description", "skeleton", "kinematics", "joint_changes"}
+#: Folder of `geometry` that describes a model's bodies and joints by NumPy alone: a room of its own.
+SKELETON = "skeleton"
 
 #: Packages of others that only these folders may import, inside functions.
 LAZY_PACKAGES: dict[str, set[str]] = {
@@ -177,7 +177,7 @@ class Import:
 def _room(module: str) -> str:
     """Name the room that a module is in, by its dotted name without the package's."""
     parts = (module or "__init__").split(".")
-    if parts[0] == "geometry" and len(parts) > 1 and parts[1] in SKELETON:
+    if parts[0] == "geometry" and len(parts) > 1 and parts[1] == SKELETON:
         return "skeleton"
     return parts[0]
 

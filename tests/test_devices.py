@@ -13,7 +13,7 @@ from tests.model.small import small_limited_objective, small_objective
 from tests.subject.synthetic import write_wrapped_subject
 from validation.wrapping.single_path import COORDINATES, write_model
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
-from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, wrap_at_samples
+from wrapjax.geometry.exact_paths.engine import GEODESIC, PARITY, ExactPaths, wrap_at_samples
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.muscle_paths import MODES, muscle_paths
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrapjax.geometry.skeleton import body_poses, build_skeleton, stations
+from wrapjax.geometry.skeleton.bodies import body_poses, build_skeleton, stations
 from wrapjax.osim.body_frames import pose_bodies
 from wrapjax.osim.model import describe_model
 

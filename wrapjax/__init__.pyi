@@ -19,8 +19,8 @@ from .contact_forces.contact_force import Contact as Contact
 from .contact_forces.contact_force import contact as contact
 from .datasets.public_recordings import fetch as fetch
 from .datasets.virtual_person.virtual_subject import write_virtual_subject as write_virtual_subject
-from .diagnosis.against import ConditionDifference as ConditionDifference
-from .diagnosis.against import diagnose_against as diagnose_against
+from .diagnosis.conditions.against import ConditionDifference as ConditionDifference
+from .diagnosis.conditions.against import diagnose_against as diagnose_against
 from .diagnosis.diagnosis import Diagnosis as Diagnosis
 from .diagnosis.diagnosis import diagnose as diagnose
 from .diagnosis.effects.catalogue import effect_meanings as effect_meanings
@@ -32,7 +32,7 @@ from .evaluation.evaluation import Evaluation as Evaluation
 from .evaluation.evaluation import evaluate as evaluate
 from .evaluation.stored_run import Run as Run
 from .evaluation.stored_run import load_run as load_run
-from .geometry.physiological import PhysiologicalThresholds as PhysiologicalThresholds
+from .geometry.surrogates.physiological import PhysiologicalThresholds as PhysiologicalThresholds
 from .jax_setup import set_up_jax as set_up_jax
 from .joints.personalisation import personalize_joints as personalize_joints
 from .joints.result import JointPersonalisation as JointPersonalisation

@@ -11,10 +11,10 @@ import pytest
 from tests.calibration.dense import dense_slopes, half_cost
 from tests.model.small import MUSCLES, small_objective
 from wrapjax.calibration.path_penalties import feasibility_limits
-from wrapjax.geometry.feasibility import Feasibility
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL, WRAP_PARAMETERS
 from wrapjax.geometry.paths import PathState
-from wrapjax.geometry.two_level import InnerLevel, two_level_paths
-from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS
+from wrapjax.geometry.surrogates.feasibility import Feasibility
+from wrapjax.geometry.surrogates.two_level import InnerLevel, two_level_paths
 from wrapjax.model.freedom import FreedWraps, nga_freedom, with_wraps
 from wrapjax.model.variables import free_variables
 

@@ -21,7 +21,7 @@ from wrapjax.evaluation.left_out_tasks import LeftOutTasks, leave_out_tasks
 from wrapjax.evaluation.metrics import LeftOutTask, errors_by_task
 from wrapjax.evaluation.stored_run import read_curves
 from wrapjax.path_sources.exact import exact_geometry
-from wrapjax.report.evaluation_page import redraw_evaluation
+from wrapjax.report.calibration.evaluation_page import redraw_evaluation
 from wrapjax.subject.subject import load_subject
 from wrapjax.subject.trials import Trials
 

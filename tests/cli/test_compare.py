@@ -132,7 +132,7 @@ def test_a_full_disk_leaves_the_checkpoints(run, subject, tmp_path, monkeypatch)
         raise OSError(28, "No space left on device", "report.html")
 
     with monkeypatch.context() as patched:
-        patched.setattr("wrapjax.report.comparison_page.render_comparison", refuse)
+        patched.setattr("wrapjax.report.comparison.page.render_comparison", refuse)
         outcome = run("compare", subject, *METHODS, "--out", tmp_path / "out", "--quiet")
     assert outcome.status == 2 and "No space left" in outcome.progress
     assert [path.name for path in tmp_path.iterdir()] == [".out.unfinished"]

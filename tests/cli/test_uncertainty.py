@@ -7,7 +7,7 @@ import pytest
 
 from tests.cli.folders import METHOD, content, read_json
 from tests.cli.test_check import assert_only_errors
-from wrapjax.report.spread import SCHEMA
+from wrapjax.report.calibration.spread import SCHEMA
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,9 @@ from wrapjax.contact_forces.contact_force import (
     sum_muscle_forces,
 )
 from wrapjax.contact_forces.contact_result import JOINT_REACTION, peak_windows, peaks
-from wrapjax.diagnosis.recorded_inputs.read_movement import read_recorded_movement
+from wrapjax.diagnosis.inputs.read_movement import read_recorded_movement
 from wrapjax.evaluation.stored_run import read_curves
-from wrapjax.geometry.engine import PARITY
+from wrapjax.geometry.exact_paths.engine import PARITY
 from wrapjax.osim.model import describe_model
 
 

@@ -5,8 +5,8 @@ import pytest
 
 from wrapjax.contact_forces.contact_force import lines_of_action, sum_muscle_forces
 from wrapjax.errors import InputError
-from wrapjax.geometry.functions import IDENTITY
-from wrapjax.geometry.model_description import (
+from wrapjax.geometry.skeleton.functions import IDENTITY
+from wrapjax.geometry.skeleton.model_description import (
     Axis,
     Coordinate,
     Joint,

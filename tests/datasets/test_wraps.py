@@ -15,7 +15,7 @@ from wrapjax.datasets.virtual_person.true_parameters import (
     read_true_parameters,
 )
 from wrapjax.datasets.virtual_person.virtual_subject import Series, write_virtual_subject
-from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL, WRAP_PARAMETERS
 from wrapjax.osim.muscle_analysis import analyse_muscles
 from wrapjax.osim.personalised_model import write_personalised_model
 from wrapjax.path_sources.exact import exact_geometry

@@ -8,7 +8,7 @@ from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.effect import Effects
-from wrapjax.diagnosis.prediction import predicted_moments
+from wrapjax.diagnosis.fits.prediction import predicted_moments
 from wrapjax.model.freedom import nga_freedom
 from wrapjax.model.variables import free_variables
 

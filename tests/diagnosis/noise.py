@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from wrapjax.diagnosis.cycle_noise import CycleNoise
-from wrapjax.diagnosis.error_sources import periodic_kernel
+from wrapjax.diagnosis.null_hypotheses.cycle_noise import CycleNoise
+from wrapjax.diagnosis.null_hypotheses.error_sources import periodic_kernel
 
 
 def noise_of_width(between, width):

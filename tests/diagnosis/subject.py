@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import Partial
 
-from wrapjax.diagnosis.context import AtBound, Context, PathChanges
+from wrapjax.diagnosis.inputs.context import AtBound, Context, PathChanges
 from wrapjax.geometry.paths import PathState, fixed_path
 from wrapjax.model.forward import Recording
 from wrapjax.model.parameters import initial_parameters

@@ -2,7 +2,7 @@
 
 import pytest
 
-from wrapjax.diagnosis.advice import advise, effects_by_experiment
+from wrapjax.diagnosis.claims.advice import advise, effects_by_experiment
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.experiments import EMG_AT_REST, EXPERIMENTS
 

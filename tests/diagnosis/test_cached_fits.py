@@ -9,7 +9,7 @@ import pytest
 from tests.diagnosis.joint_leg import WEIGHT, damped_leg
 from wrapjax.calibration.solvers.checkpoints import solve_fingerprint
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
-from wrapjax.diagnosis.joint_fit import SOLVER, fit_jointly, joint_problem
+from wrapjax.diagnosis.fits.joint_fit import SOLVER, fit_jointly, joint_problem
 from wrapjax.io.store import Store
 
 

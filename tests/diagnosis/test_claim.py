@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from wrapjax.diagnosis.claim import apply_gates, claimed_effects, with_family
-from wrapjax.diagnosis.decision import Decision, Probabilities, credible_families
+from wrapjax.diagnosis.claims.claim import apply_gates, claimed_effects, with_family
+from wrapjax.diagnosis.claims.decision import Decision, Probabilities, credible_families
+from wrapjax.diagnosis.claims.gates import Adequate, Gates, Plausible, Specific, Stable
 from wrapjax.diagnosis.effects.catalogue import (
     CATALOGUE,
     family_members,
@@ -14,7 +15,6 @@ from wrapjax.diagnosis.effects.catalogue import (
     same_family,
 )
 from wrapjax.diagnosis.effects.effect import FAMILIES
-from wrapjax.diagnosis.gates import Adequate, Gates, Plausible, Specific, Stable
 
 GOOD = Gates(
     Adequate(1.0, 2.0),

@@ -7,20 +7,20 @@ import pytest
 import scipy.stats
 
 from tests.diagnosis.noise import noise_of_width
-from wrapjax.diagnosis.against import ConditionDifference
-from wrapjax.diagnosis.condition_contrast import (
+from wrapjax.diagnosis.conditions.against import ConditionDifference
+from wrapjax.diagnosis.conditions.condition_contrast import (
     Contrast,
     DifferenceResult,
     Direction,
     compute_contrast,
     contrast_rows,
 )
-from wrapjax.diagnosis.contrast_nulls import ContrastNulls, weighted_sums, with_means
-from wrapjax.diagnosis.error_sources import MuscleErrors
-from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
-from wrapjax.diagnosis.null_covariance import fixed_covariance, muscle_covariance, nulls
-from wrapjax.diagnosis.score_test import Score, score_each
-from wrapjax.report.difference_page import difference_findings
+from wrapjax.diagnosis.conditions.contrast_nulls import ContrastNulls, weighted_sums, with_means
+from wrapjax.diagnosis.evidence.linearization import Candidate, LinearizedModel
+from wrapjax.diagnosis.evidence.score_test import Score, score_each
+from wrapjax.diagnosis.null_hypotheses.error_sources import MuscleErrors
+from wrapjax.diagnosis.null_hypotheses.null_covariance import fixed_covariance, muscle_covariance, nulls
+from wrapjax.report.diagnosis.difference_page import difference_findings
 
 CYCLES, COORDINATES, PHASES = 16, 2, 25
 SHAPE = (CYCLES, COORDINATES, PHASES)

@@ -7,7 +7,7 @@ import pytest
 from wrapjax.calibration.solvers.augmented_lagrangian import ConstrainedSolution
 from wrapjax.calibration.solvers.interface import Linearization, Status
 from wrapjax.calibration.solvers.multistart import Outcome
-from wrapjax.diagnosis.baseline import (
+from wrapjax.diagnosis.fits.baseline import (
     attainable_decrease,
     check_convergence,
     parameter_conflict,

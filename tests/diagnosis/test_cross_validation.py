@@ -9,12 +9,17 @@ import pytest
 from tests.diagnosis.joint_leg import WEIGHT, damped_leg
 from tests.diagnosis.subject import CURVES
 from wrapjax.calibration.solvers.interface import Linearization
-from wrapjax.diagnosis import cross_validation
-from wrapjax.diagnosis.cross_validation import cross_fit, cross_validation_plan
-from wrapjax.diagnosis.input import speed_numbers
-from wrapjax.diagnosis.joint_fit import allowed_errors, effect_size_covariance, fit_jointly, joint_problem
-from wrapjax.diagnosis.prediction import predicted_moments
-from wrapjax.diagnosis.verification import speed_conflict
+from wrapjax.diagnosis.fits import cross_validation
+from wrapjax.diagnosis.fits.cross_validation import cross_fit, cross_validation_plan
+from wrapjax.diagnosis.fits.joint_fit import (
+    allowed_errors,
+    effect_size_covariance,
+    fit_jointly,
+    joint_problem,
+)
+from wrapjax.diagnosis.fits.prediction import predicted_moments
+from wrapjax.diagnosis.fits.verification import speed_conflict
+from wrapjax.diagnosis.inputs.input import speed_numbers
 
 SPEEDS = np.array([0, 0, 1, 1])
 

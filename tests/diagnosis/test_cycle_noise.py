@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.noise import noise_of_width
-from wrapjax.diagnosis.cycle_noise import cycle_noise
-from wrapjax.diagnosis.error_sources import InputErrors, input_blocks, periodic_kernel
+from wrapjax.diagnosis.null_hypotheses.cycle_noise import cycle_noise
+from wrapjax.diagnosis.null_hypotheses.error_sources import InputErrors, input_blocks, periodic_kernel
 
 COORDINATES, PHASES = 2, 12
 BETWEEN = np.array([[2.0, -0.5], [-0.5, 1.0]])

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wrapjax.diagnosis.decision import (
+from wrapjax.diagnosis.claims.decision import (
     OUTCOMES,
     TIE_DISTANCE,
     TIE_EVIDENCE,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wrapjax.diagnosis.linearization import Candidate
+from wrapjax.diagnosis.evidence.linearization import Candidate
 from wrapjax.diagnosis.protocol.detectability import Design, Detection, detection, information_gain
 
 ROWS = 12

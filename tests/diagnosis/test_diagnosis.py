@@ -11,13 +11,15 @@ from jax.tree_util import Partial
 from wrapjax import InputError
 from wrapjax.datasets.virtual_person.hidden_effects import HIDDEN_EFFECTS
 from wrapjax.demonstration.demo import EXCLUDED_EFFECTS, demonstrate_diagnosis
-from wrapjax.diagnosis import decision, diagnosis, pipeline, score
-from wrapjax.diagnosis.claim import examine_claim
+from wrapjax.diagnosis import diagnosis, pipeline
+from wrapjax.diagnosis.claims import decision
+from wrapjax.diagnosis.claims.claim import examine_claim
 from wrapjax.diagnosis.diagnosis import diagnose, diagnose_calibrated
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE, effect_meanings, register_effect
 from wrapjax.diagnosis.effects.definition import EffectDefinition
 from wrapjax.diagnosis.effects.effect import EffectParameter, Effects, Variant
-from wrapjax.diagnosis.score import Scores
+from wrapjax.diagnosis.evidence import score
+from wrapjax.diagnosis.evidence.score import Scores
 from wrapjax.model.alteration import Alteration
 
 #: Few effects, which compile fast.

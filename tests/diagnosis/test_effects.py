@@ -13,7 +13,7 @@ from tests.diagnosis.subject import CURVES, EXCHANGED, small_recording_and_conte
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE, available_effects, catalogue
 from wrapjax.diagnosis.effects.effect import FAMILIES, Effect, Effects, NotTestable, Variant
 from wrapjax.diagnosis.effects.measured_motion import neighboring_coordinates
-from wrapjax.diagnosis.prediction import finite_difference_signatures, predicted_moments, signatures
+from wrapjax.diagnosis.fits.prediction import finite_difference_signatures, predicted_moments, signatures
 from wrapjax.errors import InputError
 from wrapjax.geometry.paths import fixed_path
 from wrapjax.model.forward import Recording, joint_moments

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wrapjax.diagnosis.localization import BINS, bin_weights, split_error
-from wrapjax.diagnosis.noise_floor import input_driven_variance
+from wrapjax.diagnosis.null_hypotheses.noise_floor import input_driven_variance
 
 FRAMES = 101
 PHASE = np.linspace(0.0, 1.0, FRAMES)

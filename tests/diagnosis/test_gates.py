@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.noise import noise_of_width
-from wrapjax.diagnosis.error_sources import MuscleErrors
-from wrapjax.diagnosis.gates import (
+from wrapjax.diagnosis.claims.gates import (
     Claim,
     Recorded,
     adequacy,
@@ -20,10 +19,11 @@ from wrapjax.diagnosis.gates import (
     specificity,
     stability,
 )
-from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
-from wrapjax.diagnosis.residual_fit import ResidualModel, UnseenCycles, repeatable_rms
-from wrapjax.diagnosis.score import score
-from wrapjax.diagnosis.sham_effects import scaled_like, sham_effects
+from wrapjax.diagnosis.claims.residual_fit import ResidualModel, UnseenCycles, repeatable_rms
+from wrapjax.diagnosis.claims.sham_effects import scaled_like, sham_effects
+from wrapjax.diagnosis.evidence.linearization import Candidate, LinearizedModel
+from wrapjax.diagnosis.evidence.score import score
+from wrapjax.diagnosis.null_hypotheses.error_sources import MuscleErrors
 
 CYCLES, COORDINATES, PHASES = 8, 2, 25
 SHAPE = (CYCLES, COORDINATES, PHASES)

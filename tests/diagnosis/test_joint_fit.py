@@ -11,7 +11,7 @@ from tests.diagnosis.joint_leg import FINE, WEIGHT, damped_leg, effects_of
 from tests.diagnosis.subject import small_recording_and_context
 from wrapjax.calibration.objective import MOMENT_ERROR
 from wrapjax.diagnosis.effects.effect import Effects
-from wrapjax.diagnosis.joint_fit import allowed_errors, fit_jointly, joint_problem
+from wrapjax.diagnosis.fits.joint_fit import allowed_errors, fit_jointly, joint_problem
 
 USED = np.array([True, False, True, True])
 

@@ -2,12 +2,12 @@
 
 import pytest
 
-from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.effects.scaled_model import (
     HIP_CENTER_OFFSET,
     JOINT_AXIS_ROTATION,
     JOINT_CENTER_SPREAD,
 )
+from wrapjax.diagnosis.inputs.context import Context
 from wrapjax.subject.joint_spread import JointSpread
 
 HIP = JointSpread((0.002, 0.004, 0.05), (None, None, None))

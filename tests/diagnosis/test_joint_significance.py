@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wrapjax.diagnosis.decision import Decision, each_effect_improves, may_name_jointly
-from wrapjax.diagnosis.linearization import Candidate
-from wrapjax.diagnosis.null_covariance import Null
-from wrapjax.diagnosis.score import jointly_significant_effects
-from wrapjax.diagnosis.score_test import project, score_projected
+from wrapjax.diagnosis.claims.decision import Decision, each_effect_improves, may_name_jointly
+from wrapjax.diagnosis.evidence.linearization import Candidate
+from wrapjax.diagnosis.evidence.score import jointly_significant_effects
+from wrapjax.diagnosis.evidence.score_test import project, score_projected
+from wrapjax.diagnosis.null_hypotheses.null_covariance import Null
 
 ROWS, THRESHOLD = 60, 4.5
 

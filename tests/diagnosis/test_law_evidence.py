@@ -8,9 +8,9 @@ import pytest
 
 from tests.diagnosis.subject import CURVES, small_recording_and_context
 from wrapjax.calibration.objective import Objective
-from wrapjax.diagnosis.law_evidence import law_evidence
-from wrapjax.diagnosis.linearization import linearized_model
-from wrapjax.diagnosis.muscle_law import fit_muscle_law
+from wrapjax.diagnosis.evidence.law_evidence import law_evidence
+from wrapjax.diagnosis.evidence.linearization import linearized_model
+from wrapjax.diagnosis.fits.muscle_law import fit_muscle_law
 from wrapjax.model.forward import joint_moments
 from wrapjax.model.freedom import nga_freedom
 from wrapjax.model.variables import free_variables

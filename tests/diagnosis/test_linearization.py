@@ -13,11 +13,11 @@ from tests.diagnosis.subject import CURVES, MUSCLES, small_recording_and_context
 from wrapjax.calibration.objective import Objective
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.effect import Effects
-from wrapjax.diagnosis.input import phase_frames
-from wrapjax.diagnosis.linearization import linearized_model, mean_emg, moment_slopes
-from wrapjax.diagnosis.null_covariance import fixed_covariance, nulls
-from wrapjax.diagnosis.prediction import predicted_moments
-from wrapjax.diagnosis.score_test import score_each
+from wrapjax.diagnosis.evidence.linearization import linearized_model, mean_emg, moment_slopes
+from wrapjax.diagnosis.evidence.score_test import score_each
+from wrapjax.diagnosis.fits.prediction import predicted_moments
+from wrapjax.diagnosis.inputs.input import phase_frames
+from wrapjax.diagnosis.null_hypotheses.null_covariance import fixed_covariance, nulls
 from wrapjax.model.forward import joint_moments
 from wrapjax.model.freedom import nga_freedom
 from wrapjax.model.variables import free_variables

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from wrapjax.diagnosis.localization import split_error, without_input_errors
-from wrapjax.diagnosis.noise_floor import (
+from wrapjax.diagnosis.null_hypotheses.noise_floor import (
     RepeatedCycles,
     cycle_errors,
     explainable_share,

@@ -14,9 +14,9 @@ from tests.subject.synthetic_forces import LOADS, POINT, TORQUE, force, with_for
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.measured_motion import foot_loads, skin_slides
 from wrapjax.diagnosis.effects.scaled_model import FOOT_DISPLACED, FOOT_HELD
-from wrapjax.diagnosis.recorded_inputs.read_movement import read_recorded_movement
-from wrapjax.diagnosis.recorded_inputs.recorded_movement import UP, RecordedMovement
-from wrapjax.diagnosis.subject_context import compute_measured_changes
+from wrapjax.diagnosis.inputs.read_movement import read_recorded_movement
+from wrapjax.diagnosis.inputs.recorded_movement import UP, RecordedMovement
+from wrapjax.diagnosis.inputs.subject_context import compute_measured_changes
 from wrapjax.errors import InputError
 from wrapjax.osim.mechanics import Mechanics
 from wrapjax.osim.motion import Motion

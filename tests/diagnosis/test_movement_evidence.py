@@ -14,11 +14,11 @@ from wrapjax.diagnosis.diagnosis import diagnosis_input
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.effect import Effects
 from wrapjax.diagnosis.effects.measured_motion import foot_loads
-from wrapjax.diagnosis.linearization import linearize
-from wrapjax.diagnosis.other_tasks import other_tasks, task_evidence
-from wrapjax.diagnosis.prediction import predicted_moments
-from wrapjax.diagnosis.recorded_inputs.read_movement import read_recorded_movement
-from wrapjax.diagnosis.score import score
+from wrapjax.diagnosis.evidence.linearization import linearize
+from wrapjax.diagnosis.evidence.other_tasks import other_tasks, task_evidence
+from wrapjax.diagnosis.evidence.score import score
+from wrapjax.diagnosis.fits.prediction import predicted_moments
+from wrapjax.diagnosis.inputs.read_movement import read_recorded_movement
 from wrapjax.path_sources.path_fitting import fit
 from wrapjax.subject.gait_alone import with_gait_alone
 

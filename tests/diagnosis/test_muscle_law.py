@@ -9,8 +9,8 @@ import pytest
 
 from tests.diagnosis.subject import CURVES, small_recording_and_context
 from wrapjax.calibration.objective import Objective
-from wrapjax.diagnosis.muscle_law import fit_muscle_law
-from wrapjax.diagnosis.priors import PUBLISHED_SPREAD, with_published_priors
+from wrapjax.diagnosis.fits.muscle_law import fit_muscle_law
+from wrapjax.diagnosis.inputs.priors import PUBLISHED_SPREAD, with_published_priors
 from wrapjax.model.forward import joint_moments
 from wrapjax.model.freedom import nga_freedom
 from wrapjax.model.variables import LAW_OWNER, free_variables

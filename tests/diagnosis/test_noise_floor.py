@@ -5,8 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wrapjax.diagnosis.noise_floor import NoiseFloor, cycle_errors, explainable_share, noise_floor, shrinkage
-from wrapjax.diagnosis.verification import shapley_values
+from wrapjax.diagnosis.fits.verification import shapley_values
+from wrapjax.diagnosis.null_hypotheses.noise_floor import (
+    NoiseFloor,
+    cycle_errors,
+    explainable_share,
+    noise_floor,
+    shrinkage,
+)
 
 PHASE = np.arange(25) / 25
 WAVES = np.concatenate([[np.sin(2 * np.pi * k * PHASE), np.cos(2 * np.pi * k * PHASE)] for k in (1, 2, 3)])

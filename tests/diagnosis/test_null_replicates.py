@@ -10,11 +10,11 @@ import pytest
 from tests.diagnosis.noise import noise_of_width
 from tests.diagnosis.subject import CURVES, MUSCLES, small_recording_and_context
 from wrapjax.calibration.objective import Objective
-from wrapjax.diagnosis import null_replicates
-from wrapjax.diagnosis.error_sources import InputErrors, MuscleErrors, input_blocks
-from wrapjax.diagnosis.input import phase_frames, speed_numbers
-from wrapjax.diagnosis.linearization import LinearizedModel, moment_slopes, parameter_prior
-from wrapjax.diagnosis.null_replicates import (
+from wrapjax.diagnosis.evidence.linearization import LinearizedModel, moment_slopes, parameter_prior
+from wrapjax.diagnosis.inputs.input import phase_frames, speed_numbers
+from wrapjax.diagnosis.null_hypotheses import null_replicates
+from wrapjax.diagnosis.null_hypotheses.error_sources import InputErrors, MuscleErrors, input_blocks
+from wrapjax.diagnosis.null_hypotheses.null_replicates import (
     NullModel,
     ReplicateCurves,
     _replicate_moments,

@@ -10,10 +10,10 @@ from tests.diagnosis.subject import CURVES, FRAMES, small_recording_and_context
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.effect import Effects
 from wrapjax.diagnosis.effects.periodic import with_padding
-from wrapjax.diagnosis.prediction import predicted_moments
+from wrapjax.diagnosis.fits.prediction import predicted_moments
+from wrapjax.diagnosis.null_hypotheses.undriven_capacity import undriven_signatures
 from wrapjax.diagnosis.protocol.context import joined
 from wrapjax.diagnosis.protocol.paths import sped_up
-from wrapjax.diagnosis.undriven_capacity import undriven_signatures
 
 RECORDING, CONTEXT = small_recording_and_context()
 #: The last two cycles as if they were other trials.

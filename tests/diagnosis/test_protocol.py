@@ -11,7 +11,8 @@ from wrapjax.cli.command_line import main
 from wrapjax.cli.protocol import protocol_table
 from wrapjax.diagnosis.diagnosis import diagnosis_input
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
-from wrapjax.diagnosis.null_covariance import (
+from wrapjax.diagnosis.evidence.task_covariance import ErrorSizes, TaskCovariance
+from wrapjax.diagnosis.null_hypotheses.null_covariance import (
     EXPECTED_FORCE_ERROR,
     EXPECTED_REPEATABLE_ERROR,
     fixed_covariance,
@@ -29,7 +30,6 @@ from wrapjax.diagnosis.protocol.protocol import (
 )
 from wrapjax.diagnosis.protocol.result import AdvisedTrial
 from wrapjax.diagnosis.protocol.trials import candidate_trials
-from wrapjax.diagnosis.task_covariance import ErrorSizes, TaskCovariance
 from wrapjax.errors import InputError
 from wrapjax.subject.model_alone import subject_of_model
 

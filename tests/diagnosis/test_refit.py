@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.validation.synthetic_linearizations import SHAPE, lines
-from wrapjax.diagnosis.refit import REFITTED, effects_to_refit
-from wrapjax.diagnosis.score import Scores, score
+from wrapjax.diagnosis.evidence.score import Scores, score
+from wrapjax.diagnosis.fits.refit import REFITTED, effects_to_refit
 
 
 @pytest.fixture(scope="module")

@@ -8,22 +8,22 @@ from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm
 
 from tests.diagnosis.noise import noise_of_width
-from wrapjax.diagnosis.cycle_noise import cycle_noise
-from wrapjax.diagnosis.error_sources import InputErrors, MuscleErrors, periodic_kernel
-from wrapjax.diagnosis.linearization import Candidate
-from wrapjax.diagnosis.null_covariance import (
-    Null,
-    input_covariance,
-    muscle_covariance,
-    parameter_covariance,
-    repeatable_covariance,
-)
-from wrapjax.diagnosis.score_test import (
+from wrapjax.diagnosis.evidence.linearization import Candidate
+from wrapjax.diagnosis.evidence.score_test import (
     PRIOR_FACTORS,
     distinguishability,
     effect_evidence,
     project,
     score_each,
+)
+from wrapjax.diagnosis.null_hypotheses.cycle_noise import cycle_noise
+from wrapjax.diagnosis.null_hypotheses.error_sources import InputErrors, MuscleErrors, periodic_kernel
+from wrapjax.diagnosis.null_hypotheses.null_covariance import (
+    Null,
+    input_covariance,
+    muscle_covariance,
+    parameter_covariance,
+    repeatable_covariance,
 )
 
 CYCLES, COORDINATES, PHASES = 6, 2, 10

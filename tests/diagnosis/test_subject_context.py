@@ -12,12 +12,12 @@ from tests.subject.synthetic_forces import with_forces
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE, available_effects, catalogue
 from wrapjax.diagnosis.effects.effect import Effects, NotTestable
 from wrapjax.diagnosis.effects.scaled_model import FOOT_HELD, JOINT_AXIS_ROTATION
-from wrapjax.diagnosis.prediction import predicted_moments
-from wrapjax.diagnosis.recorded_inputs.read_movement import read_recorded_movement
-from wrapjax.diagnosis.recorded_inputs.recorded_paths import RecordedPaths
-from wrapjax.diagnosis.subject_context import build_context, wrap_changes
-from wrapjax.geometry.engine import ExactPaths
-from wrapjax.geometry.joint_changes import with_moved_ends
+from wrapjax.diagnosis.fits.prediction import predicted_moments
+from wrapjax.diagnosis.inputs.read_movement import read_recorded_movement
+from wrapjax.diagnosis.inputs.recorded_paths import RecordedPaths
+from wrapjax.diagnosis.inputs.subject_context import build_context, wrap_changes
+from wrapjax.geometry.exact_paths.engine import ExactPaths
+from wrapjax.geometry.skeleton.joint_changes import with_moved_ends
 from wrapjax.muscle.curves import HILL_CURVES
 from wrapjax.path_sources.exact import build_engine
 from wrapjax.subject.subject import load_subject as load_subject

@@ -13,13 +13,13 @@ from wrapjax.calibration.calibration import calibrate
 from wrapjax.diagnosis.diagnosis import diagnose_calibrated, diagnosis_input
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.effect import Effects
-from wrapjax.diagnosis.input import phase_frames
-from wrapjax.diagnosis.linearization import linearize
-from wrapjax.diagnosis.null_covariance import nulls
-from wrapjax.diagnosis.other_tasks import MOST_WINDOWS, chosen_windows, other_tasks, task_evidence
-from wrapjax.diagnosis.prediction import predicted_moments
-from wrapjax.diagnosis.score import score
-from wrapjax.diagnosis.task_covariance import ErrorSizes, LinearizedTasks, TaskCovariance
+from wrapjax.diagnosis.evidence.linearization import linearize
+from wrapjax.diagnosis.evidence.other_tasks import MOST_WINDOWS, chosen_windows, other_tasks, task_evidence
+from wrapjax.diagnosis.evidence.score import score
+from wrapjax.diagnosis.evidence.task_covariance import ErrorSizes, LinearizedTasks, TaskCovariance
+from wrapjax.diagnosis.fits.prediction import predicted_moments
+from wrapjax.diagnosis.inputs.input import phase_frames
+from wrapjax.diagnosis.null_hypotheses.null_covariance import nulls
 from wrapjax.path_sources.path_fitting import fit
 from wrapjax.subject.gait_alone import with_gait_alone
 

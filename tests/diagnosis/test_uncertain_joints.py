@@ -13,9 +13,9 @@ from wrapjax.calibration.uncertainty.posterior import physical_units
 from wrapjax.diagnosis.diagnosis import diagnosis_input
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.definition import JointPlace
-from wrapjax.diagnosis.linearization import linearize
+from wrapjax.diagnosis.evidence.linearization import linearize
 from wrapjax.diagnosis.uncertain_joints import place_covariance, uncertain_joints
-from wrapjax.report.diagnosis_joints import uncertain_joints_section
+from wrapjax.report.diagnosis.joints import uncertain_joints_section
 from wrapjax.subject.joint_spread import JointSpread
 
 KEPT = {"hip_center_offset", "joint_center_spread"}

@@ -9,9 +9,9 @@ import pytest
 
 from tests.diagnosis.subject import CURVES, small_recording_and_context
 from wrapjax.diagnosis.effects.unrecorded_excitation import SPLINES
-from wrapjax.diagnosis.error_sources import moment_arm_errors
-from wrapjax.diagnosis.priors import MOMENT_ARM_SD
-from wrapjax.diagnosis.undriven_capacity import (
+from wrapjax.diagnosis.inputs.priors import MOMENT_ARM_SD
+from wrapjax.diagnosis.null_hypotheses.error_sources import moment_arm_errors
+from wrapjax.diagnosis.null_hypotheses.undriven_capacity import (
     UNRECORDED_SHARE,
     CapacityShare,
     undriven_capacity,

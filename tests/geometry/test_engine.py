@@ -10,11 +10,17 @@ import pytest
 from scipy.optimize import root
 
 from wrapjax.errors import InputError
-from wrapjax.geometry import several_wraps
-from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, nominal_parameters, wrap_at_samples
-from wrapjax.geometry.path_on_cylinders import PointsAndBodies
-from wrapjax.geometry.several_wraps import wrap_shortest
-from wrapjax.geometry.wrapping import FREE, NOMINAL, Surface
+from wrapjax.geometry.exact_paths import several_wraps
+from wrapjax.geometry.exact_paths.engine import (
+    GEODESIC,
+    PARITY,
+    ExactPaths,
+    nominal_parameters,
+    wrap_at_samples,
+)
+from wrapjax.geometry.exact_paths.path_on_cylinders import PointsAndBodies
+from wrapjax.geometry.exact_paths.several_wraps import wrap_shortest
+from wrapjax.geometry.exact_paths.wrapping import FREE, NOMINAL, Surface
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.path_engine import PathEngine
 

@@ -8,8 +8,8 @@ import scipy.optimize
 from scipy.special import expit
 from scipy.stats import qmc
 
-from wrapjax.geometry import feasibility
-from wrapjax.geometry.feasibility import (
+from wrapjax.geometry.surrogates import feasibility
+from wrapjax.geometry.surrogates.feasibility import (
     FOLDS,
     GAMMAS,
     PENALTIES,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from wrapjax.errors import InputError
-from wrapjax.geometry.functions import Polynomial, Spline
-from wrapjax.geometry.kinematics import CoordinateValues, body_motion, path_points
+from wrapjax.geometry.skeleton.functions import Polynomial, Spline
+from wrapjax.geometry.skeleton.kinematics import CoordinateValues, body_motion, path_points
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.muscle_analysis import analyse_muscles
 

@@ -7,11 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from wrapjax.geometry.engine import surfaces_of
-from wrapjax.geometry.model_description import WrapObject
-from wrapjax.geometry.physiological import PhysiologicalThresholds, distance_from_bones, measure_paths
-from wrapjax.geometry.wrap_methods import kind_of
-from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, Margins, WrappedPath
+from wrapjax.geometry.exact_paths.engine import surfaces_of
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL_PARAMETERS, Margins, WrappedPath
+from wrapjax.geometry.skeleton.model_description import WrapObject
+from wrapjax.geometry.surfaces.wrap_methods import kind_of
+from wrapjax.geometry.surrogates.physiological import (
+    PhysiologicalThresholds,
+    distance_from_bones,
+    measure_paths,
+)
 
 POSES, CYCLE = 60, slice(20, None)
 WAVE = np.sin(2.0 * np.pi * np.arange(POSES) / 40.0)

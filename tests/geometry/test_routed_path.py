@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wrapjax.geometry.engine import GEODESIC, ExactPaths, wrap_at_samples
-from wrapjax.geometry.routed_path import route_path
+from wrapjax.geometry.exact_paths.engine import GEODESIC, ExactPaths, wrap_at_samples
+from wrapjax.geometry.exact_paths.routed_path import route_path
 from wrapjax.osim.model import describe_model
 
 COORDINATES = ("hip_flexion_l", "hip_adduction_l", "hip_rotation_l", "knee_angle_l", "ankle_angle_l")

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from validation.wrapping.single_path import COORDINATES, SurfaceDraw, write_model
-from wrapjax.geometry.engine import ExactPaths
-from wrapjax.geometry.several_wraps import solve_without_lapack
-from wrapjax.geometry.wrapped_paths import wrapped_paths
+from wrapjax.geometry.exact_paths.engine import ExactPaths
+from wrapjax.geometry.exact_paths.several_wraps import solve_without_lapack
+from wrapjax.geometry.exact_paths.wrapped_paths import wrapped_paths
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.muscle_paths import muscle_paths
 

@@ -6,8 +6,8 @@ import pytest
 
 from tests.osim.many_joints import many_joints as many_joints
 from validation.skeleton import compare_with_opensim
-from wrapjax.geometry.functions import Piece, PiecewisePolynomial, Spline, evaluate, tabulate
-from wrapjax.geometry.skeleton import body_poses, build_skeleton, stations
+from wrapjax.geometry.skeleton.bodies import body_poses, build_skeleton, stations
+from wrapjax.geometry.skeleton.functions import Piece, PiecewisePolynomial, Spline, evaluate, tabulate
 from wrapjax.osim.model import describe_model
 
 

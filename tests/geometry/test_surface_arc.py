@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wrapjax.geometry.surface_arc import geodesic_arc
+from wrapjax.geometry.surfaces.surface_arc import geodesic_arc
 
 
 def lengths(line):

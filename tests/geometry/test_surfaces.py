@@ -12,19 +12,19 @@ from validation.wrapping.draws import draw_poses, draw_surface
 from validation.wrapping.shortest_paths import engine_paths
 from validation.wrapping.single_path import COORDINATES, MUSCLE, SurfaceDraw, by_opensim, write_model
 from wrapjax.errors import InputError
-from wrapjax.geometry.curve_length import VARIABLES
-from wrapjax.geometry.ellipsoid import planar_length, plane_through
-from wrapjax.geometry.engine import (
+from wrapjax.geometry.exact_paths.engine import (
     GEODESIC,
     PARITY,
     ExactPaths,
     nominal_parameters,
     wrap_at_samples,
 )
-from wrapjax.geometry.placed_surface import PlacedSurface
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL_PARAMETERS
+from wrapjax.geometry.surfaces.curve_length import VARIABLES
+from wrapjax.geometry.surfaces.ellipsoid import planar_length, plane_through
+from wrapjax.geometry.surfaces.placed_surface import PlacedSurface
+from wrapjax.geometry.surfaces.wrap_methods import SHORTEST
 from wrapjax.geometry.vectors import stack_components, vector
-from wrapjax.geometry.wrap_methods import SHORTEST
-from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.path_engine import PathEngine
 

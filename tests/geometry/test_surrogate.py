@@ -5,8 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from wrapjax.geometry.surrogate import fit_surrogate, monomial_exponents, monomial_gradients, monomials
-from wrapjax.geometry.training_samples import (
+from wrapjax.geometry.surrogates.surrogate import (
+    fit_surrogate,
+    monomial_exponents,
+    monomial_gradients,
+    monomials,
+)
+from wrapjax.geometry.surrogates.training_samples import (
     MINIMUM_ANGLE_RANGE,
     angle_ranges,
     fastest_cycle_poses,

@@ -8,11 +8,11 @@ import scipy.optimize
 
 from validation.wrapping.shortest_paths import CHORDS, engine_paths, through_torus, torus_oracle
 from validation.wrapping.single_path import SurfaceDraw
-from wrapjax.geometry import torus
-from wrapjax.geometry.engine import surfaces_of
-from wrapjax.geometry.model_description import WrapObject
+from wrapjax.geometry.exact_paths.engine import surfaces_of
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL_PARAMETERS
+from wrapjax.geometry.skeleton.model_description import WrapObject
+from wrapjax.geometry.surfaces import torus
 from wrapjax.geometry.vectors import vector
-from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS
 
 
 @pytest.mark.parametrize(

@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from wrapjax.geometry.feasibility import Feasibility
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL
 from wrapjax.geometry.paths import PathState
-from wrapjax.geometry.surrogate import monomial_exponents, monomials
-from wrapjax.geometry.two_level import InnerLevel, fit_inner_level, two_level_paths
-from wrapjax.geometry.wrapping import NOMINAL
+from wrapjax.geometry.surrogates.feasibility import Feasibility
+from wrapjax.geometry.surrogates.surrogate import monomial_exponents, monomials
+from wrapjax.geometry.surrogates.two_level import InnerLevel, fit_inner_level, two_level_paths
 
 HALF_RANGE = np.array([[0.01, 0.01, 0.01, 0.35, 0.35, 0.2], [0.005, 0.005, 0.005, 0.35, 0.35, 0.2]])
 TERMS = 4

@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from wrapjax.geometry import wrap_bounds
-from wrapjax.geometry.engine import ExactPaths
-from wrapjax.geometry.training_samples import plan_samples
-from wrapjax.geometry.wrap_bounds import parameter_box
-from wrapjax.geometry.wrapping import NOMINAL
+from wrapjax.geometry.exact_paths.engine import ExactPaths
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL
+from wrapjax.geometry.surrogates import wrap_bounds
+from wrapjax.geometry.surrogates.training_samples import plan_samples
+from wrapjax.geometry.surrogates.wrap_bounds import parameter_box
 
 WRAPS = {
     "psoas": ("brim",),

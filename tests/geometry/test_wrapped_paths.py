@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from wrapjax.geometry.engine import ExactPaths
-from wrapjax.geometry.wrapped_paths import wrapped_paths
+from wrapjax.geometry.exact_paths.engine import ExactPaths
+from wrapjax.geometry.exact_paths.wrapped_paths import wrapped_paths
 from wrapjax.osim.model import describe_model
 
 COORDINATES = ("hip_flexion_l", "hip_adduction_l", "hip_rotation_l", "knee_angle_l", "ankle_angle_l")

@@ -77,14 +77,18 @@ def test_a_module_that_imports_the_package_depends_on_all_of_it(package):
         (
             "wrapjax.calibration.calibration",
             ("muscle/hill.py", "calibration/objective.py", "calibration/solvers/levenberg_marquardt.py"),
-            ("diagnosis/score.py", "report/markup.py", "cohorts/cohort.py"),
+            ("diagnosis/evidence/score.py", "report/markup.py", "cohorts/cohort.py"),
         ),
         (
             "wrapjax.osim.muscle_analysis",
             ("osim/path_engine.py", "osim/workers.py"),
-            ("calibration/objective.py", "geometry/engine.py"),
+            ("calibration/objective.py", "geometry/exact_paths/engine.py"),
         ),
-        ("wrapjax.path_sources.path_fitting", ("geometry/surrogate.py",), ("calibration/objective.py",)),
+        (
+            "wrapjax.path_sources.path_fitting",
+            ("geometry/surrogates/surrogate.py",),
+            ("calibration/objective.py",),
+        ),
     ],
 )
 def test_the_sources_of_a_result_are_found(module, used, not_used):

@@ -5,7 +5,7 @@ import pytest
 
 from tests.osim.bone_file import TETRAHEDRON
 from wrapjax.errors import InputError
-from wrapjax.geometry.model_description import Pose
+from wrapjax.geometry.skeleton.model_description import Pose
 from wrapjax.osim.bones import AttachedMesh, find_bones, read_vtp
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from wrapjax.contact_forces.contact_force import lines_of_action, sum_muscle_forces
 from wrapjax.errors import InputError
-from wrapjax.geometry.engine import PARITY
+from wrapjax.geometry.exact_paths.engine import PARITY
 from wrapjax.osim.joint_reaction import analyse_joint_reactions
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.motion import Motion

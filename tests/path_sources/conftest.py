@@ -5,7 +5,7 @@ import pytest
 from tests.calibration.fixtures import calibrated as calibrated
 from tests.calibration.fixtures import paths as paths
 from tests.calibration.fixtures import person as person
-from wrapjax.geometry import training_samples
+from wrapjax.geometry.surrogates import training_samples
 
 
 @pytest.fixture(scope="module")

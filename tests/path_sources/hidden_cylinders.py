@@ -14,7 +14,7 @@ import numpy as np
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.calibration.uncertainty.identifiability import moment_arm_deviation
 from wrapjax.demonstration.wrap_recovery import IDENTIFIABLE_RATIO
-from wrapjax.geometry.wrapping import NOMINAL
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL
 from wrapjax.model.forward import joint_moments
 
 #: Standard deviation of the moments, N m.

@@ -21,9 +21,9 @@ from wrapjax.calibration.solvers.interface import Status
 from wrapjax.cli.command_line import main
 from wrapjax.errors import InputError
 from wrapjax.evaluation.stored_run import load_run
-from wrapjax.geometry.engine import PARITY, ExactPaths, wrap_at_samples
-from wrapjax.geometry.wrap_bounds import NARROWER_TRANSLATIONS, WIDER_TRANSLATIONS
-from wrapjax.geometry.wrapping import NOMINAL
+from wrapjax.geometry.exact_paths.engine import PARITY, ExactPaths, wrap_at_samples
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL
+from wrapjax.geometry.surrogates.wrap_bounds import NARROWER_TRANSLATIONS, WIDER_TRANSLATIONS
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.muscle_analysis import analyse_muscles
 from wrapjax.path_sources.exact import exact_geometry

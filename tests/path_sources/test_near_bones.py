@@ -13,9 +13,9 @@ from tests.subject.synthetic import write_subject
 from wrapjax.calibration.problem import matching_path_source
 from wrapjax.cli.command_line import main
 from wrapjax.errors import InputError
-from wrapjax.geometry.engine import surfaces_of
-from wrapjax.geometry.physiological import PhysiologicalThresholds, distance_from_bones
-from wrapjax.geometry.wrapping import NOMINAL
+from wrapjax.geometry.exact_paths.engine import surfaces_of
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL
+from wrapjax.geometry.surrogates.physiological import PhysiologicalThresholds, distance_from_bones
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources import wrap_fitting
 from wrapjax.path_sources.exact import exact_geometry

@@ -8,9 +8,14 @@ from tests.path_sources.round_trip import assert_reproduces_itself
 from tests.subject.synthetic import MODEL, write_subject
 from wrapjax.cli.command_line import main
 from wrapjax.evaluation.stored_run import load_run
-from wrapjax.geometry.engine import PARITY, ExactPaths, wrap_at_samples
-from wrapjax.geometry.wrap_bounds import MAX_ROTATION, SHAPE_FACTORS, parameter_box
-from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, PARAMETERS, PARAMETERS_OF, parameter_names
+from wrapjax.geometry.exact_paths.engine import PARITY, ExactPaths, wrap_at_samples
+from wrapjax.geometry.exact_paths.wrapping import (
+    NOMINAL_PARAMETERS,
+    PARAMETERS,
+    PARAMETERS_OF,
+    parameter_names,
+)
+from wrapjax.geometry.surrogates.wrap_bounds import MAX_ROTATION, SHAPE_FACTORS, parameter_box
 from wrapjax.model.freedom import nga_freedom, with_wraps
 from wrapjax.model.variables import free_variables
 from wrapjax.osim.model import describe_model

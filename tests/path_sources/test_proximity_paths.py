@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from wrapjax.geometry.engine import ExactPaths
+from wrapjax.geometry.exact_paths.engine import ExactPaths
+from wrapjax.geometry.exact_paths.wrapped_paths import wrapped_paths
 from wrapjax.geometry.paths import AdjustablePath
-from wrapjax.geometry.wrapped_paths import wrapped_paths
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.proximity_paths import ARM_DEVIATION, LENGTH_DEVIATION, with_exact_proximity
 

@@ -15,9 +15,9 @@ from tests.path_sources.wrapped_knee import wrapped_model
 from tests.subject.synthetic import write_subject
 from wrapjax.calibration.calibration import calibrate
 from wrapjax.errors import InputError
-from wrapjax.geometry.engine import ExactPaths, wrap_at_samples
-from wrapjax.geometry.physiological import PhysiologicalThresholds
-from wrapjax.geometry.wrapping import NOMINAL
+from wrapjax.geometry.exact_paths.engine import ExactPaths, wrap_at_samples
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL
+from wrapjax.geometry.surrogates.physiological import PhysiologicalThresholds
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.path_engine import PathEngine
 from wrapjax.osim.personalised_model import write_personalised_model
@@ -105,7 +105,7 @@ def test_the_report_uses_the_thresholds_of_the_fit(person, sampled, tmp_path):
 
 
 def test_a_failed_report_leaves_no_folder(person, sampled, tmp_path, monkeypatch):
-    monkeypatch.setattr("wrapjax.report.fit_page.render_fit", lambda *_: 1 / 0)
+    monkeypatch.setattr("wrapjax.report.paths.fit_page.render_fit", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         sampled.save(tmp_path / "fit")
     assert list(tmp_path.iterdir()) == []

@@ -21,7 +21,7 @@ from wrapjax.calibration.solvers.augmented_lagrangian import (
 from wrapjax.calibration.solvers.interface import DampingState, Iteration, Linearization, Status
 from wrapjax.calibration.solvers.multistart import Outcome
 from wrapjax.geometry.paths import PathState
-from wrapjax.geometry.surrogate import PathSurrogate, fit_surrogate
+from wrapjax.geometry.surrogates.surrogate import PathSurrogate, fit_surrogate
 from wrapjax.io.model_file import MuscleParameters
 from wrapjax.model.forward import MuscleState
 from wrapjax.model.freedom import Freedom, FreedParameter

@@ -4,15 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from wrapjax.diagnosis.advice import Advice
-from wrapjax.diagnosis.baseline import ConvergenceCheck
+from wrapjax.diagnosis.claims.advice import Advice
+from wrapjax.diagnosis.claims.gates import Adequate, Gates, Plausible, Specific, Stable
 from wrapjax.diagnosis.effects.effect import NotTestable
-from wrapjax.diagnosis.gates import Adequate, Gates, Plausible, Specific, Stable
+from wrapjax.diagnosis.fits.baseline import ConvergenceCheck
+from wrapjax.diagnosis.fits.verification import ReleasedParameter, VerifiedRefit
 from wrapjax.diagnosis.localization import BINS, MuscleShare, repeatable_error_map, split_error
-from wrapjax.diagnosis.noise_floor import Estimate
+from wrapjax.diagnosis.null_hypotheses.noise_floor import Estimate
+from wrapjax.diagnosis.null_hypotheses.undriven_capacity import CapacityShare
 from wrapjax.diagnosis.result import DiagnosisResult, EffectFinding, EffectSize
-from wrapjax.diagnosis.undriven_capacity import CapacityShare
-from wrapjax.diagnosis.verification import ReleasedParameter, VerifiedRefit
 from wrapjax.muscle.personal_law import LAW_NAMES
 
 COORDINATES = ("hip_flexion_l", "knee_angle_l", "ankle_angle_l")

@@ -17,10 +17,10 @@ from wrapjax.calibration.solvers.interface import Status
 from wrapjax.comparison.samples import ComparedLeg, group_by_speed
 from wrapjax.comparison.statistics import MINIMUM_UNITS
 from wrapjax.io.files import write_json
-from wrapjax.report.comparison_figures import methods_that_move, most_moved
-from wrapjax.report.comparison_page import render_comparison
-from wrapjax.report.comparison_summary import comparison_rows, describe_comparison
-from wrapjax.report.comparison_tables import cycles_csv, differences_csv, means_csv
+from wrapjax.report.comparison.figures import methods_that_move, most_moved
+from wrapjax.report.comparison.page import render_comparison
+from wrapjax.report.comparison.summary import comparison_rows, describe_comparison
+from wrapjax.report.comparison.tables import cycles_csv, differences_csv, means_csv
 from wrapjax.report.formatting import p_value
 
 METHODS = ("NGA", "SGA", "LSGA")

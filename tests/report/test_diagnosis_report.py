@@ -22,26 +22,26 @@ from tests.report.synthetic_diagnosis import (
     partial,
 )
 from wrapjax import InputError
-from wrapjax.diagnosis.decision import OUTCOMES
+from wrapjax.diagnosis.claims.decision import OUTCOMES
 from wrapjax.diagnosis.effects.effect import NotTestable
+from wrapjax.diagnosis.fits.verification import ReleasedParameter
 from wrapjax.diagnosis.localization import BINS, ErrorBudget
-from wrapjax.diagnosis.noise_floor import Estimate
+from wrapjax.diagnosis.null_hypotheses.noise_floor import Estimate
+from wrapjax.diagnosis.null_hypotheses.undriven_capacity import CapacityShare
 from wrapjax.diagnosis.result import EffectSize
-from wrapjax.diagnosis.undriven_capacity import CapacityShare
-from wrapjax.diagnosis.verification import ReleasedParameter
 from wrapjax.io.storage import read_storage
-from wrapjax.report import diagnosis_page
-from wrapjax.report.diagnosis_effects import alike_pairs, half_interval
-from wrapjax.report.diagnosis_location import resolved
-from wrapjax.report.diagnosis_numbers import (
+from wrapjax.report.diagnosis import page as diagnosis_page
+from wrapjax.report.diagnosis.effects import alike_pairs, half_interval
+from wrapjax.report.diagnosis.location import resolved
+from wrapjax.report.diagnosis.numbers import (
     describe_diagnosis,
     error_locations,
     mean_absolute_errors,
     moment_table,
 )
-from wrapjax.report.diagnosis_page import render_diagnosis, write_diagnosis
-from wrapjax.report.diagnosis_shrinkage import MOST_RELEASED, accepted_shares, most_released
-from wrapjax.report.diagnosis_words import diagnosis_findings, diagnosis_text, gate_rows, untested_findings
+from wrapjax.report.diagnosis.page import render_diagnosis, write_diagnosis
+from wrapjax.report.diagnosis.shrinkage import MOST_RELEASED, accepted_shares, most_released
+from wrapjax.report.diagnosis.words import diagnosis_findings, diagnosis_text, gate_rows, untested_findings
 
 #: Keys that gap.json always has.
 KEYS = {

@@ -5,14 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from wrapjax.report.calibration_curves import activation_figure, fiber_length_figure, moment_figure
-from wrapjax.report.cycle_panels import groups_by_speed, groups_by_speed_and_use, spread
-from wrapjax.report.parameters_and_solver import (
+from wrapjax.report.calibration.calibration_curves import (
+    activation_figure,
+    fiber_length_figure,
+    moment_figure,
+)
+from wrapjax.report.calibration.parameters_and_solver import (
     bounds_figure,
     cost_figure,
     history_figure,
     place_within_bounds,
 )
+from wrapjax.report.cycle_panels import groups_by_speed, groups_by_speed_and_use, spread
 from wrapjax.report.style import new_figure, to_svg
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tests.report.page import Page
-from wrapjax.report.fit_page import error_figure, error_findings, render_fit
-from wrapjax.report.fit_wraps import SampledPath
+from wrapjax.report.paths.fit_page import error_figure, error_findings, render_fit
+from wrapjax.report.paths.fit_wraps import SampledPath
 
 
 def error(length, arm, *, wrapped=True):

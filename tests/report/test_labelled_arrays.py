@@ -13,10 +13,10 @@ from wrapjax.comparison.comparison import Comparison
 from wrapjax.contact_forces.contact_result import MUSCLE_SHARE, ContactResult, RunContact, Undriven
 from wrapjax.evaluation.evaluation import Evaluation
 from wrapjax.evaluation.stored_run import load_run
-from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL, WRAP_PARAMETERS
 from wrapjax.model.freedom import FreedSynergies, FreedWraps, with_wraps
 from wrapjax.model.parameters import QUANTITIES
-from wrapjax.report.labelled_arrays import calibration_dataset, contact_dataset
+from wrapjax.report.labelled.arrays import calibration_dataset, contact_dataset
 from wrapjax.subject.subject import load_subject as load_subject
 
 #: Coordinates of cycles that must have a unit; names along an axis need none.

@@ -9,8 +9,8 @@ import pytest
 from tests.report.solutions import with_solution
 from wrapjax.calibration.calibration_result import describe_limits, largest_excess, muscles_at_limits
 from wrapjax.calibration.path_penalties import path_limits
-from wrapjax.report.calibration_curves import fiber_length_figure, fiber_length_finding
-from wrapjax.report.run_summary import summarize
+from wrapjax.report.calibration.calibration_curves import fiber_length_figure, fiber_length_finding
+from wrapjax.report.calibration.run_summary import summarize
 
 
 @pytest.fixture

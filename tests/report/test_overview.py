@@ -8,8 +8,8 @@ import pytest
 
 from wrapjax.cli.report import redraw
 from wrapjax.errors import InputError
+from wrapjax.report.calibration.run_page import write_run
 from wrapjax.report.overview import KINDS, find_results
-from wrapjax.report.run_page import write_run
 
 CONTENT = {
     "fit/fit.json": {"muscles": {"a_l": {"length_rmse_mm": 0.1}, "b_l": {"length_rmse_mm": 0.25}}},

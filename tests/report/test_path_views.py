@@ -11,15 +11,15 @@ import pytest
 from tests.report.conftest import COORDINATES, MUSCLES
 from wrapjax.comparison.samples import ComparedLeg
 from wrapjax.datasets.virtual_person.leg import build_leg_model
-from wrapjax.geometry.routed_path import route_path
-from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS
+from wrapjax.geometry.exact_paths.routed_path import route_path
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL, WRAP_PARAMETERS
 from wrapjax.model.freedom import FreedWraps, with_wraps
 from wrapjax.osim.model import describe_model
-from wrapjax.report.comparison_page import render_comparison
-from wrapjax.report.comparison_summary import comparison_rows
-from wrapjax.report.moved_paths import describe_move, moved_paths
-from wrapjax.report.path_views import look_at, path_section, path_view_figure
-from wrapjax.report.run_page import write_run
+from wrapjax.report.calibration.run_page import write_run
+from wrapjax.report.comparison.page import render_comparison
+from wrapjax.report.comparison.summary import comparison_rows
+from wrapjax.report.paths.moved_paths import describe_move, moved_paths
+from wrapjax.report.paths.path_views import look_at, path_section, path_view_figure
 
 #: 3 and 4 mm across the axis, 10 degrees about x, a tenth larger.
 CHANGE = np.array([0.003, 0.004, 0.0, np.deg2rad(10.0), 0.0, 0.1])

@@ -17,8 +17,8 @@ from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMa
 from wrapjax.cli.calibrate import calibration_table
 from wrapjax.model.freedom import FreedPaths
 from wrapjax.path_sources.path_fitting import fit
-from wrapjax.report.path_views import largest_changes, moment_arm_figure, path_section
-from wrapjax.report.starts import moment_arm_spread, start_findings
+from wrapjax.report.calibration.starts import moment_arm_spread, start_findings
+from wrapjax.report.paths.path_views import largest_changes, moment_arm_figure, path_section
 from wrapjax.subject.subject import load_subject as load_subject
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from wrapjax.report.fit_wraps import SampledPath, physiological_figure
+from wrapjax.report.paths.fit_wraps import SampledPath, physiological_figure
 from wrapjax.report.style import to_svg
 
 FRAMES = 50

@@ -15,8 +15,8 @@ from wrapjax.io.storage import read_storage
 from wrapjax.model.freedom import FreedPaths
 from wrapjax.model.parameters import QUANTITIES
 from wrapjax.preprocessing.nmsm_files import OSIMX_QUANTITIES, read_osimx
-from wrapjax.report import run_page
-from wrapjax.report.run_page import write_run
+from wrapjax.report.calibration import run_page
+from wrapjax.report.calibration.run_page import write_run
 
 
 @pytest.fixture

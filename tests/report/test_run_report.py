@@ -14,9 +14,9 @@ from tests.report.page import Page
 from tests.report.solutions import with_solution
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.model.freedom import Freedom
+from wrapjax.report.calibration.run_page import render_report, run_findings
+from wrapjax.report.calibration.run_summary import summarize
 from wrapjax.report.provenance import describe_settings
-from wrapjax.report.run_page import render_report, run_findings
-from wrapjax.report.run_summary import summarize
 
 
 def _render(subject, result):
@@ -142,7 +142,7 @@ def test_report_without_free_parameters(subject, result):
 
 def test_importing_the_package_or_the_report_does_not_import_matplotlib():
     code = (
-        "import sys, wrapjax, wrapjax.report.run_page; "
+        "import sys, wrapjax, wrapjax.report.calibration.run_page; "
         "print(sorted({'matplotlib', 'opensim', 'pandas', 'sklearn'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -8,9 +8,9 @@ import pytest
 
 from wrapjax.calibration.uncertainty.intervals import LegSpread, Spread
 from wrapjax.io.storage import read_storage
-from wrapjax.report.labelled_arrays import spread_dataset
-from wrapjax.report.run_page import render_report, write_run
-from wrapjax.report.spread import band_figure, interval_figure, kinds_of
+from wrapjax.report.calibration.run_page import render_report, write_run
+from wrapjax.report.calibration.spread import band_figure, interval_figure, kinds_of
+from wrapjax.report.labelled.arrays import spread_dataset
 from wrapjax.report.style import to_svg
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.calibration.solvers.multistart import Outcome
-from wrapjax.report.starts import (
+from wrapjax.report.calibration.starts import (
     describe_starts,
     end_values,
     equally_good,

@@ -7,7 +7,7 @@ import pytest
 from tests.report.solutions import with_solution
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.io.files import write_json
-from wrapjax.report.run_summary import file_stems, summarize
+from wrapjax.report.calibration.run_summary import file_stems, summarize
 
 CONTRACT = {
     "schema", "subject", "method", "converged", "message", "iterations", "starts", "n_variables",

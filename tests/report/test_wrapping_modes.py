@@ -9,7 +9,7 @@ import pytest
 from wrapjax.datasets.virtual_person.leg import build_leg_model
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.muscle_analysis import analyse_muscles
-from wrapjax.report.wrapping_modes import compare_wrapping_modes, wrapping_modes_figure
+from wrapjax.report.paths.wrapping_modes import compare_wrapping_modes, wrapping_modes_figure
 
 COORDINATES = ("hip_flexion_l", "hip_adduction_l", "hip_rotation_l", "knee_angle_l", "ankle_angle_l")
 MUSCLE = "glmax3_l"

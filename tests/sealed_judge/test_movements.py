@@ -12,7 +12,7 @@ from validation.sealed_judge.leg import frames
 from validation.sealed_judge.movements import RUNNING, SQUATS, take
 from validation.sealed_judge.person import draw_person
 from validation.sealed_judge.session import Session
-from wrapjax.diagnosis.recorded_inputs.read_movement import read_recorded_movement
+from wrapjax.diagnosis.inputs.read_movement import read_recorded_movement
 from wrapjax.subject.subject import load_subject
 
 SEED = 7

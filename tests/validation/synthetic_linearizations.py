@@ -3,9 +3,9 @@
 import numpy as np
 
 from validation.diagnosis.linearizations import LinearizedCase
-from wrapjax.diagnosis.error_sources import MuscleErrors
-from wrapjax.diagnosis.gates import Recorded
-from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
+from wrapjax.diagnosis.claims.gates import Recorded
+from wrapjax.diagnosis.evidence.linearization import Candidate, LinearizedModel
+from wrapjax.diagnosis.null_hypotheses.error_sources import MuscleErrors
 
 CYCLES, COORDINATES, PHASES = 4, 2, 25
 SHAPE = (CYCLES, COORDINATES, PHASES)

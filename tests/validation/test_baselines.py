@@ -13,8 +13,8 @@ from validation.blind.score.records import read_answer
 from validation.diagnosis.ablations import ABLATIONS, score_ablated
 from validation.diagnosis.baselines import BASELINES, modification_index, write_answer, write_no_answer
 from validation.diagnosis.case_answers import write_other_answers
-from wrapjax.diagnosis.error_sources import MuscleErrors
-from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
+from wrapjax.diagnosis.evidence.linearization import Candidate, LinearizedModel
+from wrapjax.diagnosis.null_hypotheses.error_sources import MuscleErrors
 
 CYCLES, COORDINATES, PHASES, EFFECTS = 6, 2, 10, 12
 ROWS = CYCLES * COORDINATES * PHASES

@@ -8,8 +8,8 @@ import pytest
 from tests.validation.synthetic_linearizations import SHAPE, lines
 from validation.diagnosis.left_out_worlds import ablations, decide_by_world, table
 from validation.diagnosis.scored_cases import decision_on, score_case
-from wrapjax.diagnosis.decision import DecisionConstants
-from wrapjax.diagnosis.gates import Adequate, Plausible, Specific
+from wrapjax.diagnosis.claims.decision import DecisionConstants
+from wrapjax.diagnosis.claims.gates import Adequate, Plausible, Specific
 
 CYCLES, COORDINATES, PHASES = SHAPE
 PHASE = 2.0 * np.pi * np.arange(PHASES) / PHASES

@@ -7,9 +7,9 @@ import pytest
 
 from tests.validation.synthetic_linearizations import SHAPE, lines
 from validation.diagnosis.linearizations import LinearizedCase, development_linearizations, load, save
-from wrapjax.diagnosis.error_sources import InputErrors, MuscleErrors
-from wrapjax.diagnosis.gates import Recorded
-from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
+from wrapjax.diagnosis.claims.gates import Recorded
+from wrapjax.diagnosis.evidence.linearization import Candidate, LinearizedModel
+from wrapjax.diagnosis.null_hypotheses.error_sources import InputErrors, MuscleErrors
 from wrapjax.errors import InputError
 
 

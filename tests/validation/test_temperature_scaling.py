@@ -17,8 +17,8 @@ from validation.diagnosis.temperature_scaling import (
     negative_log_probability,
     read_constants,
 )
-from wrapjax.diagnosis.decision import DecisionConstants, probabilities
-from wrapjax.diagnosis.gates import Adequate
+from wrapjax.diagnosis.claims.decision import DecisionConstants, probabilities
+from wrapjax.diagnosis.claims.gates import Adequate
 
 #: Of six families.
 EFFECTS = ("tendon_compliance", "slow_fibers", "joint_damping", "emg_drift", "cop_offset", "missing_drive")

@@ -107,7 +107,7 @@ def distance_to_truth(
     wraps: FreedWraps, true_wraps: Mapping[str, Sequence[float]], found: np.ndarray
 ) -> dict[str, float]:
     """Compute the distance of the cylinders from the true ones, in standard deviations of displacements."""
-    from wrapjax.geometry.wrapping import NOMINAL
+    from wrapjax.geometry.exact_paths.wrapping import NOMINAL
 
     true = np.stack([np.array(true_wraps[name]) - NOMINAL for name in wraps.names]) / _displacements()
     after = wraps.changes_of(found) / _displacements()
@@ -155,7 +155,7 @@ def bound_of_distance(
 
 def true_changes(wraps: FreedWraps, true_wraps: Mapping[str, Sequence[float]]) -> np.ndarray:
     """Return true wrap parameters as path changes: (muscle, mode), differences from nominal."""
-    from wrapjax.geometry.wrapping import NOMINAL
+    from wrapjax.geometry.exact_paths.wrapping import NOMINAL
 
     moved = np.stack([np.array(true_wraps[name]) - NOMINAL for name in wraps.names])
     changes = np.where((wraps.places >= 0)[..., None], moved[wraps.places], 0.0)

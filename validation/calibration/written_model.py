@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     import jax
 
     from wrapjax.calibration.calibration import Calibration
+    from wrapjax.geometry.exact_paths.wrapping import WrappedPath
     from wrapjax.geometry.paths import PathState
-    from wrapjax.geometry.wrapping import WrappedPath
 
 _COLUMNS = ("length", "arm", "geodesic: length", "arm", "arm from slope", "step", "geodesic: step")
 # Step of finite differences, rad: OpenSim's lengths are accurate to 1e-12 m or better.
@@ -72,7 +72,7 @@ def compare(done: Calibration) -> Iterator[tuple[str, tuple[float, ...], list[st
     import jax
 
     from wrapjax.calibration.calibration import write_calibrated_model
-    from wrapjax.geometry.engine import PARITY, nominal_parameters, wrap_at_samples
+    from wrapjax.geometry.exact_paths.engine import PARITY, nominal_parameters, wrap_at_samples
     from wrapjax.osim.muscle_analysis import analyse_muscles
     from wrapjax.path_sources.exact import build_engine, recorded_motion
 
@@ -144,7 +144,7 @@ def _slopes(
 
 def _failed_criteria(moved: WrappedPath, unchanged: WrappedPath, trials: int, frames: int) -> list[str]:
     """Return the criteria that a path fails in any pose or along any cycle."""
-    from wrapjax.geometry.physiological import measure_paths
+    from wrapjax.geometry.surrogates.physiological import measure_paths
 
     failed: dict[str, bool] = {}
     for trial in range(trials):

@@ -13,9 +13,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.diagnosis.linearization import LinearizedModel
-from wrapjax.diagnosis.null_covariance import nulls
-from wrapjax.diagnosis.score_test import score_each
+from wrapjax.diagnosis.evidence.linearization import LinearizedModel
+from wrapjax.diagnosis.evidence.score_test import score_each
+from wrapjax.diagnosis.null_hypotheses.null_covariance import nulls
 
 MomentSd = Float[np.ndarray, " coordinate"]
 #: Function that removes a term from a linearized model and the standard deviations of measured moments (N m).

@@ -27,8 +27,8 @@ from validation.diagnosis.linearizations import (
     linearizations_parser,
 )
 from validation.diagnosis.signal_losses import captured_share, in_residual_order, standardize
-from wrapjax.diagnosis.null_covariance import nulls
-from wrapjax.diagnosis.score_test import project, score_each
+from wrapjax.diagnosis.evidence.score_test import project, score_each
+from wrapjax.diagnosis.null_hypotheses.null_covariance import nulls
 from wrapjax.errors import InputError
 
 #: Least size of a signal, in standard deviations: smaller ones would need implausible effect sizes.

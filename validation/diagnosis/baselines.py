@@ -16,7 +16,7 @@ from jaxtyping import Float
 from scipy.special import softmax
 from scipy.stats import chi2
 
-from wrapjax.diagnosis.linearization import LinearizedModel
+from wrapjax.diagnosis.evidence.linearization import LinearizedModel
 from wrapjax.io.files import write_json
 
 Rows = Float[np.ndarray, "column row"]

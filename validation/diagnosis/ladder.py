@@ -35,9 +35,9 @@ from validation.diagnosis.scored_cases import ScoredCase
 from validation.diagnosis.signal_losses import in_residual_order, signal_of
 from validation.diagnosis.simulator_signatures import score_both, simulator_candidates
 from wrapjax.cohorts.scheduling import run_jobs
-from wrapjax.diagnosis.linearization import Candidate
-from wrapjax.diagnosis.null_covariance import nulls
-from wrapjax.diagnosis.score_test import project, score_each
+from wrapjax.diagnosis.evidence.linearization import Candidate
+from wrapjax.diagnosis.evidence.score_test import project, score_each
+from wrapjax.diagnosis.null_hypotheses.null_covariance import nulls
 from wrapjax.errors import InputError, Problem
 from wrapjax.muscle.published_laws import GIVEN_LAW
 

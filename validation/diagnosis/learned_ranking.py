@@ -32,8 +32,8 @@ from validation.diagnosis.linearizations import (
     linearizations_parser,
 )
 from validation.diagnosis.signal_losses import in_residual_order
-from wrapjax.diagnosis.null_covariance import nulls
-from wrapjax.diagnosis.score_test import score_each
+from wrapjax.diagnosis.evidence.score_test import score_each
+from wrapjax.diagnosis.null_hypotheses.null_covariance import nulls
 from wrapjax.errors import InputError
 
 #: Smallest and largest d* of added signals, between which its logarithm is uniform.

@@ -25,15 +25,15 @@ from validation.diagnosis.scored_cases import (
     score_cases,
 )
 from validation.diagnosis.temperature_scaling import fit_constants
-from wrapjax.diagnosis.decision import (
+from wrapjax.diagnosis.claims.decision import (
     Decision,
     DecisionConstants,
     Probabilities,
     credible_families,
     credible_set,
 )
+from wrapjax.diagnosis.claims.gates import Gates
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE, family_of
-from wrapjax.diagnosis.gates import Gates
 from wrapjax.errors import InputError
 
 

@@ -1,8 +1,8 @@
 """Linearized models of a bank's cases, stored so that statistics of the score take seconds.
 
 ``python -m validation.diagnosis.linearizations --bank BANK --out LINES`` calibrates each case, linearizes it
-(see `wrapjax.diagnosis.linearization`) and writes one file per case. Nothing is scored or refitted, and the
-truth is not read. `development_linearizations` reads them with the truth, for development banks only.
+(see `wrapjax.diagnosis.evidence.linearization`) and writes one file per case. Nothing is scored or refitted,
+and the truth is not read. `development_linearizations` reads them with the truth, for development banks only.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from benchmarks.machine import pin_threads
 from validation.blind.case_selection import add_selection_arguments, selection_of
 from validation.diagnosis.bank_cases import cases_of, development_truth
 from wrapjax.cohorts.scheduling import run_jobs
-from wrapjax.diagnosis.error_sources import InputErrors, MuscleErrors
-from wrapjax.diagnosis.gates import Recorded
-from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
+from wrapjax.diagnosis.claims.gates import Recorded
+from wrapjax.diagnosis.evidence.linearization import Candidate, LinearizedModel
+from wrapjax.diagnosis.null_hypotheses.error_sources import InputErrors, MuscleErrors
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.files import write_atomically
 from wrapjax.io.json_and_arrays import load_arrays
@@ -89,10 +89,10 @@ def main() -> int:
 def linearize_case(job: Job) -> str:
     """Calibrate and linearize a case, and write the result."""
     import wrapjax
-    from wrapjax.diagnosis.claim import recorded_of
+    from wrapjax.diagnosis.claims.claim import recorded_of
     from wrapjax.diagnosis.diagnosis import diagnosis_input
-    from wrapjax.diagnosis.linearization import linearize
-    from wrapjax.diagnosis.null_replicates import NullModel, null_replicate_residuals
+    from wrapjax.diagnosis.evidence.linearization import linearize
+    from wrapjax.diagnosis.null_hypotheses.null_replicates import NullModel, null_replicate_residuals
     from wrapjax.jax_setup import clear_caches_near_map_limit, set_up_jax
 
     set_up_jax()

@@ -18,10 +18,10 @@ from validation.diagnosis.linearizations import (
     development_linearizations,
     linearizations_parser,
 )
-from wrapjax.diagnosis.decision import DecisionConstants
-from wrapjax.diagnosis.null_covariance import nulls
-from wrapjax.diagnosis.score import jointly_significant_effects
-from wrapjax.diagnosis.score_test import project, score_projected
+from wrapjax.diagnosis.claims.decision import DecisionConstants
+from wrapjax.diagnosis.evidence.score import jointly_significant_effects
+from wrapjax.diagnosis.evidence.score_test import project, score_projected
+from wrapjax.diagnosis.null_hypotheses.null_covariance import nulls
 from wrapjax.errors import InputError
 
 #: Tiers of cases with causes in the catalogue.

@@ -12,8 +12,8 @@ import numpy as np
 from validation.diagnosis.bank_cases import CLEAR
 from validation.diagnosis.linearizations import LinearizedCase, development_files, load_valid
 from wrapjax.cohorts.scheduling import run_jobs
-from wrapjax.diagnosis.claim import apply_gates, claimed_effects, with_family
-from wrapjax.diagnosis.decision import (
+from wrapjax.diagnosis.claims.claim import apply_gates, claimed_effects, with_family
+from wrapjax.diagnosis.claims.decision import (
     Decision,
     DecisionConstants,
     Probabilities,
@@ -24,8 +24,7 @@ from wrapjax.diagnosis.decision import (
     set_levels,
     tied_effects,
 )
-from wrapjax.diagnosis.effects.catalogue import CATALOGUE, family_of
-from wrapjax.diagnosis.gates import (
+from wrapjax.diagnosis.claims.gates import (
     MOST_DEVIATIONS,
     Adequate,
     Gates,
@@ -37,9 +36,10 @@ from wrapjax.diagnosis.gates import (
     specificity,
     stability,
 )
-from wrapjax.diagnosis.residual_fit import ResidualModel
-from wrapjax.diagnosis.score import score
-from wrapjax.diagnosis.score_test import Score
+from wrapjax.diagnosis.claims.residual_fit import ResidualModel
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE, family_of
+from wrapjax.diagnosis.evidence.score import score
+from wrapjax.diagnosis.evidence.score_test import Score
 from wrapjax.errors import InputError, Problem
 from wrapjax.progress import print_progress
 

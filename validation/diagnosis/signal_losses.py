@@ -33,10 +33,10 @@ from validation.diagnosis.linearizations import (
     development_linearizations,
     linearizations_parser,
 )
-from wrapjax.diagnosis.error_sources import Matrix
-from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
-from wrapjax.diagnosis.null_covariance import nulls
-from wrapjax.diagnosis.score_test import project
+from wrapjax.diagnosis.evidence.linearization import Candidate, LinearizedModel
+from wrapjax.diagnosis.evidence.score_test import project
+from wrapjax.diagnosis.null_hypotheses.error_sources import Matrix
+from wrapjax.diagnosis.null_hypotheses.null_covariance import nulls
 from wrapjax.errors import InputError
 
 _RANK = 1e-8

@@ -24,9 +24,9 @@ from validation.diagnosis.linearizations import (
 )
 from validation.diagnosis.scored_cases import ScoredCase, ranking
 from validation.diagnosis.signal_losses import in_residual_order
-from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
-from wrapjax.diagnosis.null_covariance import nulls
-from wrapjax.diagnosis.score_test import score_each
+from wrapjax.diagnosis.evidence.linearization import Candidate, LinearizedModel
+from wrapjax.diagnosis.evidence.score_test import score_each
+from wrapjax.diagnosis.null_hypotheses.null_covariance import nulls
 from wrapjax.errors import InputError
 
 #: Number of effects listed, those with most evidence in cases without effect.

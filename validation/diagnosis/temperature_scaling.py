@@ -23,7 +23,7 @@ from scipy.optimize import minimize
 
 from validation.diagnosis.linearizations import linearizations_parser
 from validation.diagnosis.scored_cases import GROSS_MISFIT, ScoredCase, ranking, score_cases
-from wrapjax.diagnosis.decision import DecisionConstants
+from wrapjax.diagnosis.claims.decision import DecisionConstants
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.files import write_json
 from wrapjax.io.json_and_arrays import load_json

@@ -35,7 +35,7 @@ READING = (
         "wrapjax.calibration.solvers.checkpoints",
         "wrapjax.report.overview",
     ),
-    *("wrapjax.report.evaluation_page", "wrapjax.report.cohort_page", "wrapjax.osim.bones"),
+    *("wrapjax.report.calibration.evaluation_page", "wrapjax.report.cohort_page", "wrapjax.osim.bones"),
 )
 
 

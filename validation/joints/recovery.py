@@ -28,7 +28,7 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.geometry.marker_model import build_marker_model
-from wrapjax.geometry.model_description import Joint, ModelDescription
+from wrapjax.geometry.skeleton.model_description import Joint, ModelDescription
 from wrapjax.io.storage import read_storage
 from wrapjax.jax_setup import set_up_jax
 from wrapjax.joints.changed_skeleton import skeleton_change

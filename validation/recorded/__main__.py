@@ -26,7 +26,7 @@ from validation.diagnosis.scored_cases import ScoredCase, decision_on, score_cas
 from validation.recorded.manipulations import Manipulation, manipulations_of, write_manipulation
 from validation.recorded.recordings import add_subjects_argument
 from wrapjax.cohorts.scheduling import run_jobs
-from wrapjax.diagnosis.decision import DecisionConstants
+from wrapjax.diagnosis.claims.decision import DecisionConstants
 from wrapjax.diagnosis.effects.catalogue import family_of
 from wrapjax.errors import InputError, Problem
 

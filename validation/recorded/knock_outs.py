@@ -27,9 +27,9 @@ from validation.recorded.manipulations import Manipulation, knock_outs, write_ma
 from wrapjax.calibration.calibration import Calibration, cached_calibration
 from wrapjax.diagnosis.diagnosis import diagnose_calibrated
 from wrapjax.diagnosis.effects.unrecorded_excitation import drive_over_cycle
-from wrapjax.diagnosis.linearization import LinearizedModel
-from wrapjax.diagnosis.null_covariance import nulls
-from wrapjax.diagnosis.score_test import Score, score_each
+from wrapjax.diagnosis.evidence.linearization import LinearizedModel
+from wrapjax.diagnosis.evidence.score_test import Score, score_each
+from wrapjax.diagnosis.null_hypotheses.null_covariance import nulls
 from wrapjax.errors import InputError
 from wrapjax.io.files import write_json
 from wrapjax.io.json_and_arrays import load_json

@@ -30,7 +30,7 @@ _ELLIPSOID_LIMIT = 5e-6
 
 def compare(kind: str, surfaces: int, poses: int, seed: int, quadrant: str | None) -> Differences:
     """Compare paths round random surfaces of a kind."""
-    from wrapjax.geometry.engine import PARITY, ExactPaths, nominal_parameters, wrap_at_samples
+    from wrapjax.geometry.exact_paths.engine import PARITY, ExactPaths, nominal_parameters, wrap_at_samples
     from wrapjax.osim.model import describe_model
 
     lengths, arms = [], []

@@ -117,8 +117,8 @@ def recover(kind: str, draws: int, seed: int) -> list[Recovery]:
     import jax.numpy as jnp
     from scipy.optimize import least_squares
 
-    from wrapjax.geometry.wrap_bounds import USUAL_TRANSLATION, parameter_box
-    from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, PARAMETERS, PARAMETERS_OF
+    from wrapjax.geometry.exact_paths.wrapping import NOMINAL_PARAMETERS, PARAMETERS, PARAMETERS_OF
+    from wrapjax.geometry.surrogates.wrap_bounds import USUAL_TRANSLATION, parameter_box
     from wrapjax.path_sources.muscle_paths import muscle_paths
 
     surface, wrap_class = CASES[kind][0], f"Wrap{kind.capitalize()}"

@@ -54,7 +54,7 @@ def contact_hint(surface: SurfaceDraw, file: Path, pose: Float[np.ndarray, " coo
     """Middle between both ends of the engine's contact in a pose, in the surface's frame, m."""
     from scipy.spatial.transform import Rotation
 
-    from wrapjax.geometry.routed_path import route_path
+    from wrapjax.geometry.exact_paths.routed_path import route_path
     from wrapjax.osim.model import describe_model
 
     contacts = route_path(describe_model(file), MUSCLE, COORDINATES, pose).contacts

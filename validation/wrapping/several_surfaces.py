@@ -237,7 +237,7 @@ class EnginePath:
 
 def engine_path(drawn: PlacedDraw) -> EnginePath:
     """Compute the shortest path by the engine."""
-    from wrapjax.geometry.routed_path import route_path
+    from wrapjax.geometry.exact_paths.routed_path import route_path
     from wrapjax.path_sources.muscle_paths import muscle_paths
 
     pose = np.concatenate([drawn.start, drawn.end])

@@ -223,9 +223,9 @@ def engine_paths(
     """Lengths, derivatives by the ends' positions and contact lengths of shortest paths round one surface."""
     import jax.numpy as jnp
 
-    from wrapjax.geometry.placed_surface import PlacedSurface
+    from wrapjax.geometry.surfaces.placed_surface import PlacedSurface
+    from wrapjax.geometry.surfaces.wrap_methods import kind_of
     from wrapjax.geometry.vectors import vector
-    from wrapjax.geometry.wrap_methods import kind_of
 
     sizes = np.array((*surface.sizes, surface.sizes[-1], surface.sizes[-1])[:3])
     axes = [vector(jnp.eye(3)[axis]) for axis in range(3)]
@@ -253,8 +253,8 @@ def _compiled(kind: str) -> Callable[..., Any]:
     import jax
     import jax.numpy as jnp
 
+    from wrapjax.geometry.surfaces.wrap_methods import SHORTEST
     from wrapjax.geometry.vectors import stack_components, vector
-    from wrapjax.geometry.wrap_methods import SHORTEST
 
     method = SHORTEST[kind]
 

@@ -99,31 +99,31 @@ class Calibration:
 
     def to_dataset(self) -> Dataset:
         """Return curves and parameters of this leg as an `xarray.Dataset`, with units."""
-        from wrapjax.report.labelled_arrays import calibration_dataset
+        from wrapjax.report.labelled.arrays import calibration_dataset
 
         return calibration_dataset(self.result)
 
     def summary(self) -> dict[str, Any]:
         """Return the content of ``summary.json``: errors (N m) by use and coordinate, convergence, limits."""
-        from wrapjax.report.run_summary import summarize
+        from wrapjax.report.calibration.run_summary import summarize
 
         return summarize(self.subject, self.result)
 
     def plot_moments(self) -> Figure:
         """Draw measured and modelled moments (N m) over the gait cycle."""
-        from wrapjax.report.calibration_curves import moment_figure
+        from wrapjax.report.calibration.calibration_curves import moment_figure
 
         return moment_figure(self.result)
 
     def plot_activations(self) -> Figure:
         """Draw the activation of every muscle over the gait cycle."""
-        from wrapjax.report.calibration_curves import activation_figure, driving_signals
+        from wrapjax.report.calibration.calibration_curves import activation_figure, driving_signals
 
         return activation_figure(self.result, driving_signals(self.subject, self.result))
 
     def plot_fiber_lengths(self) -> Figure:
         """Draw the normalised fiber length of every muscle over the gait cycle."""
-        from wrapjax.report.calibration_curves import fiber_length_figure
+        from wrapjax.report.calibration.calibration_curves import fiber_length_figure
 
         return fiber_length_figure(self.result)
 
@@ -135,7 +135,7 @@ class Calibration:
         InputError
             If no moment arm changed, as in NGA.
         """
-        from wrapjax.report.path_views import largest_changes, moment_arm_figure
+        from wrapjax.report.paths.path_views import largest_changes, moment_arm_figure
 
         if not largest_changes(self.result):
             message = f"no moment arm to draw: {self.result.method} changed none"
@@ -144,7 +144,7 @@ class Calibration:
 
     def plot_cost(self) -> Figure:
         """Draw the cost over the iterations of every start."""
-        from wrapjax.report.parameters_and_solver import history_figure
+        from wrapjax.report.calibration.parameters_and_solver import history_figure
 
         return history_figure(self.result)
 
@@ -165,7 +165,7 @@ class Calibration:
         InputError
             If the folder exists and ``force`` is not set, or it cannot be created.
         """
-        from wrapjax.report.run_page import write_run
+        from wrapjax.report.calibration.run_page import write_run
 
         legs = [(leg.subject, leg.result) for leg in self.legs]
         write_run(

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian, ConstrainedSolution
 from wrapjax.calibration.solvers.multistart import Outcome
-from wrapjax.geometry.surrogate import PathSurrogate
+from wrapjax.geometry.surrogates.surrogate import PathSurrogate
 from wrapjax.model.forward import MuscleState
 from wrapjax.model.freedom import Freedom
 from wrapjax.model.parameters import ModelParameters

@@ -15,8 +15,8 @@ from jaxtyping import Float
 from wrapjax.calibration.initial_lengths import InitialLengthObjective, LengthErrors
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
-from wrapjax.geometry.engine import ExactPaths
-from wrapjax.geometry.path_derivatives import compute_nominal_paths
+from wrapjax.geometry.exact_paths.engine import ExactPaths
+from wrapjax.geometry.exact_paths.path_derivatives import compute_nominal_paths
 from wrapjax.io.files import new_folder, write_json, write_text
 from wrapjax.io.model_file import MuscleParameters, read_model_file
 from wrapjax.jax_setup import require_float64
@@ -33,7 +33,7 @@ from wrapjax.subject.subject import Subject
 if TYPE_CHECKING:
     from xarray import Dataset
 
-    from wrapjax.report.initialisation_page import PassiveCurves
+    from wrapjax.report.calibration.initialisation_page import PassiveCurves
 
 #: Name of the table that ``subject.toml`` can refer to as ``[model] muscle_parameters``.
 PARAMETERS_FILE = "muscle_parameters.csv"
@@ -89,7 +89,7 @@ class Initialisation:
 
     def to_dataset(self) -> Dataset:
         """Return lengths before and after, and passive moments, as an `xarray.Dataset` with units."""
-        from wrapjax.report.labelled_arrays import initialisation_dataset
+        from wrapjax.report.labelled.arrays import initialisation_dataset
 
         return initialisation_dataset(self)
 
@@ -152,7 +152,7 @@ class Initialisation:
         InputError
             If the folder exists and ``force`` is not set, or it cannot be created.
         """
-        from wrapjax.report.initialisation_page import render_initialisation
+        from wrapjax.report.calibration.initialisation_page import render_initialisation
 
         content = self.summary()
         with new_folder(Path(folder), force=force) as place:
@@ -292,7 +292,7 @@ def _moments(trial: PassiveTrial, wanted: tuple[str, ...]) -> Float[np.ndarray, 
 
 def _passive_curves(done: Initialisation) -> list[PassiveCurves]:
     """Split the passive moments by trial and coordinate."""
-    from wrapjax.report.initialisation_page import PassiveCurves
+    from wrapjax.report.calibration.initialisation_page import PassiveCurves
 
     found, first = [], 0
     for trial in done.subject.passive:

@@ -102,8 +102,8 @@ def calibration_table(calibration: Calibration) -> str:
 def _solver_lines(result: CalibrationResult) -> list[str]:
     """Describe starts, limits and changes of muscle paths, as far as they apply."""
     from wrapjax.calibration.calibration_result import describe_limits
-    from wrapjax.report.run_summary import geometry_change
-    from wrapjax.report.starts import equally_good
+    from wrapjax.report.calibration.run_summary import geometry_change
+    from wrapjax.report.calibration.starts import equally_good
 
     solution, count = result.solution, len(result.outcomes)
     costs = [outcome.solution.cost for outcome in result.outcomes]
@@ -299,7 +299,7 @@ def run(options: argparse.Namespace) -> int:
     from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
     from wrapjax.calibration.uncertainty.uncertainty import DRAWS, uncertainty
     from wrapjax.evaluation.left_out_tasks import leave_out_tasks
-    from wrapjax.geometry.physiological import DEFAULT_THRESHOLDS
+    from wrapjax.geometry.surrogates.physiological import DEFAULT_THRESHOLDS
     from wrapjax.path_sources.exact import exact_geometry
     from wrapjax.path_sources.polynomial_fit import load_fit
     from wrapjax.path_sources.undriven_muscles import apply_undriven_strategy

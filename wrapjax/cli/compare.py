@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 def comparison_table(comparison: Comparison) -> str:
     """Tabulate mean and standard deviation of moment errors by use, speed, method and coordinate."""
-    from wrapjax.report.comparison_summary import note
+    from wrapjax.report.comparison.summary import note
 
     errors = [row for row in comparison.rows if row.quantity == "moment_error"]
     items = list(dict.fromkeys(row.item for row in errors))

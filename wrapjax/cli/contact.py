@@ -20,8 +20,8 @@ def contact_table(contact: Contact) -> str:
     """Tabulate the peak contact forces of each joint by each run, with the tests between runs."""
     from wrapjax.comparison.statistics import spread
     from wrapjax.contact_forces.contact_result import peak_windows, peaks
-    from wrapjax.report.contact_page import contact_findings, undriven_findings
-    from wrapjax.report.contact_summary import compared_peaks, tests_reason
+    from wrapjax.report.contact_forces.page import contact_findings, undriven_findings
+    from wrapjax.report.contact_forces.summary import compared_peaks, tests_reason
 
     result = contact.result
     lines = [textwrap.fill(contact_findings(result)[0], 100), ""]

@@ -123,9 +123,9 @@ def _run_against(
 ) -> int:
     """Compare two conditions of a person."""
     from wrapjax.cli.calibrate import iteration_printer
-    from wrapjax.diagnosis.against import diagnose_against
+    from wrapjax.diagnosis.conditions.against import diagnose_against
     from wrapjax.progress import print_progress
-    from wrapjax.report.difference_page import difference_findings
+    from wrapjax.report.diagnosis.difference_page import difference_findings
 
     done = diagnose_against(
         subject,

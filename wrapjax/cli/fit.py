@@ -99,7 +99,7 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
-    from wrapjax.geometry.physiological import PhysiologicalThresholds
+    from wrapjax.geometry.surrogates.physiological import PhysiologicalThresholds
     from wrapjax.path_sources.path_fitting import fit
     from wrapjax.path_sources.undriven_muscles import apply_undriven_strategy
     from wrapjax.path_sources.wrap_fitting import fit_wraps

@@ -19,7 +19,7 @@ _WIDTH = 100
 
 def protocol_table(protocol: Protocol) -> str:
     """Format the advised trials, what each adds, and what it tells apart."""
-    from wrapjax.report.protocol_page import protocol_findings
+    from wrapjax.report.diagnosis.protocol_page import protocol_findings
 
     lines = [textwrap.fill(sentence, _WIDTH) for sentence in protocol_findings(protocol)]
     for number, one in enumerate(protocol.advised, start=1):
@@ -75,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
     from wrapjax.diagnosis.protocol.protocol import protocol, subject_and_probabilities
     from wrapjax.path_sources.polynomial_fit import load_fit
     from wrapjax.progress import print_progress
-    from wrapjax.report.protocol_page import describe_protocol
+    from wrapjax.report.diagnosis.protocol_page import describe_protocol
 
     if options.out is not None:
         check_output_folder(options.out, options.force)

@@ -31,7 +31,7 @@ def redraw(folder: str | Path) -> Path:
         report needs.
     """
     from wrapjax.cohorts.cohort import redraw_cohort
-    from wrapjax.report.evaluation_page import redraw_evaluation
+    from wrapjax.report.calibration.evaluation_page import redraw_evaluation
     from wrapjax.report.overview import find_results, kind_of, refuse_redrawing, render_overview
 
     place = Path(folder)

@@ -73,7 +73,7 @@ class Cohort:
         InputError
             If no subject is done.
         """
-        from wrapjax.report.labelled_arrays import cohort_dataset
+        from wrapjax.report.labelled.arrays import cohort_dataset
 
         return cohort_dataset(self._done)
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
     from wrapjax.comparison.samples import ComparedLeg
-    from wrapjax.report.comparison_summary import Row
+    from wrapjax.report.comparison.summary import Row
 
 #: Sources of the muscle paths of NGA and PGA.
 GEOMETRIES = ("surrogate", "engine")
@@ -68,7 +68,7 @@ class Comparison:
     def legs(self) -> tuple[ComparedLeg, ...]:
         """All calibrated legs; both legs of a person where they were calibrated together."""
         from wrapjax.comparison.samples import ComparedLeg
-        from wrapjax.report.run_page import OTHER_LEG
+        from wrapjax.report.calibration.run_page import OTHER_LEG
 
         legs: list[ComparedLeg] = []
         names = set(self.labels)
@@ -103,37 +103,37 @@ class Comparison:
     @cached_property
     def rows(self) -> tuple[Row, ...]:
         """Means, standard deviations and tests of all compared quantities."""
-        from wrapjax.report.comparison_summary import comparison_rows
+        from wrapjax.report.comparison.summary import comparison_rows
 
         return comparison_rows(self.legs, self.methods)
 
     def to_dataset(self) -> Dataset:
         """Return moments, moment errors and parameters by method, as an `xarray.Dataset` with units."""
-        from wrapjax.report.labelled_arrays import comparison_dataset
+        from wrapjax.report.labelled.arrays import comparison_dataset
 
         return comparison_dataset(self.legs, self.methods)
 
     def summary(self) -> dict[str, Any]:
         """Return the content of ``comparison.json``."""
-        from wrapjax.report.comparison_summary import describe_comparison
+        from wrapjax.report.comparison.summary import describe_comparison
 
         return describe_comparison(self.legs, self.methods, self.rows)
 
     def plot_moments(self) -> Figure:
         """Draw measured moments and those by every method (N m) over the gait cycle."""
-        from wrapjax.report.comparison_figures import compared_moments_figure
+        from wrapjax.report.comparison.figures import compared_moments_figure
 
         return compared_moments_figure(self.legs, self.methods)
 
     def plot_moment_arms(self) -> Figure:
         """Draw moment arms (m) by every method over the gait cycle."""
-        from wrapjax.report.comparison_figures import compared_moment_arms_figure
+        from wrapjax.report.comparison.figures import compared_moment_arms_figure
 
         return compared_moment_arms_figure(self.legs, self.methods)
 
     def save(self, folder: str | Path, *, force: bool = False) -> None:
         """Write ``<subject>/<METHOD>/`` for each calibration, ``comparison.json``, tables and report."""
-        from wrapjax.report.comparison_page import write_comparison
+        from wrapjax.report.comparison.page import write_comparison
 
         with new_folder(Path(folder), force=force) as place:
             for label, row in zip(self.labels, self.calibrations, strict=True):

@@ -20,7 +20,7 @@ from wrapjax.errors import InputError, Problem
 from wrapjax.subject.subject import Subject, name_without_side, read_legs
 
 if TYPE_CHECKING:
-    from wrapjax.geometry.model_description import ModelDescription
+    from wrapjax.geometry.skeleton.model_description import ModelDescription
 
 _SIDES = {"l": "left", "r": "right"}
 

@@ -23,15 +23,15 @@ from wrapjax.contact_forces.contact_result import (
     knee_compartments,
 )
 from wrapjax.contact_forces.static_optimization import share_moments
-from wrapjax.diagnosis.recorded_inputs.read_movement import read_recorded_movement
-from wrapjax.diagnosis.recorded_inputs.recorded_movement import RecordedMovement
+from wrapjax.diagnosis.inputs.read_movement import read_recorded_movement
+from wrapjax.diagnosis.inputs.recorded_movement import RecordedMovement
 from wrapjax.errors import InputError, Problem
 from wrapjax.evaluation.stored_run import Run, RunCurves, read_curves
-from wrapjax.geometry.engine import GEODESIC, ExactPaths, Wrapping
-from wrapjax.geometry.joint_changes import sliding_coordinates, with_sliding_joints
-from wrapjax.geometry.model_description import ModelDescription
+from wrapjax.geometry.exact_paths.engine import GEODESIC, ExactPaths, Wrapping
+from wrapjax.geometry.exact_paths.wrapped_paths import wrapped_paths
 from wrapjax.geometry.paths import PathState
-from wrapjax.geometry.wrapped_paths import wrapped_paths
+from wrapjax.geometry.skeleton.joint_changes import sliding_coordinates, with_sliding_joints
+from wrapjax.geometry.skeleton.model_description import ModelDescription
 from wrapjax.jax_setup import require_float64
 from wrapjax.model.alteration import fiber_parameters
 from wrapjax.model.parameters import ModelParameters
@@ -76,31 +76,31 @@ class Contact:
 
     def to_dataset(self) -> Dataset:
         """Return all curves as an `xarray.Dataset` with units."""
-        from wrapjax.report.labelled_arrays import contact_dataset
+        from wrapjax.report.labelled.arrays import contact_dataset
 
         return contact_dataset(self.result)
 
     def summary(self) -> dict[str, Any]:
         """Return the content of ``contact.json``."""
-        from wrapjax.report.contact_summary import describe_contact
+        from wrapjax.report.contact_forces.summary import describe_contact
 
         return describe_contact(self.result)
 
     def plot_magnitudes(self) -> Figure:
         """Draw the magnitude of the contact force in each joint over the gait cycle, N."""
-        from wrapjax.report.contact_page import magnitude_figure
+        from wrapjax.report.contact_forces.page import magnitude_figure
 
         return magnitude_figure(self.result)
 
     def plot_components(self) -> Figure:
         """Draw the components of the contact forces along the axes of the proximal bones, N."""
-        from wrapjax.report.contact_page import component_figure
+        from wrapjax.report.contact_forces.page import component_figure
 
         return component_figure(self.result)
 
     def save(self, folder: str | Path, *, force: bool = False) -> None:
         """Write ``contact.json``, curves and ``report.html`` into a new folder."""
-        from wrapjax.report.contact_page import write_contact
+        from wrapjax.report.contact_forces.page import write_contact
 
         write_contact(self.result, Path(folder), force=force)
 
@@ -276,7 +276,7 @@ def _labels(runs: Sequence[RunCurves]) -> list[str]:
 
 def _model_file(entry: RunCurves) -> Path:
     """Return the model file with the muscle paths of a run."""
-    from wrapjax.report.run_page import PERSONALISED_MODEL
+    from wrapjax.report.calibration.run_page import PERSONALISED_MODEL
 
     run = entry.run
     if run.method == "PGA":

@@ -200,7 +200,7 @@ class Demonstration:
 
     def save(self, folder: Path) -> None:
         """Write ``demo.json``, and figures of estimated against true parameters and moment arms."""
-        from wrapjax.report.recovery import draw_recovery
+        from wrapjax.report.calibration.recovery import draw_recovery
 
         content = {
             "schema": 1,

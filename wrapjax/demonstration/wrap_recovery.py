@@ -13,7 +13,7 @@ from wrapjax.calibration.calibration import Calibration
 from wrapjax.calibration.problem import build_objective
 from wrapjax.calibration.uncertainty.identifiability import moment_arm_deviation
 from wrapjax.datasets.virtual_person.true_parameters import TrueParameters
-from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL, WRAP_PARAMETERS
 from wrapjax.osim.muscle_analysis import analyse_muscles
 from wrapjax.osim.personalised_model import write_personalised_model
 from wrapjax.subject.subject import Subject
@@ -102,7 +102,7 @@ class WrapRecovery:
 
     def draw(self, file: Path) -> None:
         """Plot the moment arms with the largest errors, mean over cycles, with their standard deviations."""
-        from wrapjax.report.recovery import draw_wrap_recovery
+        from wrapjax.report.calibration.recovery import draw_wrap_recovery
 
         shown = self.largest_errors(_DRAWN)
         names = [f"{self.muscles[row]} about {self.coordinates[column]}" for row, column in shown]

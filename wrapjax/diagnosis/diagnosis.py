@@ -17,16 +17,16 @@ from wrapjax.calibration.path_penalties import PATH_PENALTIES
 from wrapjax.calibration.problem import fit_for_methods
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.calibration.solvers.multistart import IterationCallback
-from wrapjax.diagnosis.baseline import starts_agree
-from wrapjax.diagnosis.decision import DecisionConstants
+from wrapjax.diagnosis.claims.decision import DecisionConstants
 from wrapjax.diagnosis.effects.catalogue import catalogue, refuse_unknown
-from wrapjax.diagnosis.input import DiagnosisInput
+from wrapjax.diagnosis.evidence.other_tasks import OtherTasks, other_tasks
+from wrapjax.diagnosis.fits.baseline import starts_agree
+from wrapjax.diagnosis.fits.muscle_law import fit_muscle_law
+from wrapjax.diagnosis.inputs.input import DiagnosisInput
+from wrapjax.diagnosis.inputs.subject_context import build_context
 from wrapjax.diagnosis.localization import ErrorBudget
-from wrapjax.diagnosis.muscle_law import fit_muscle_law
-from wrapjax.diagnosis.other_tasks import OtherTasks, other_tasks
 from wrapjax.diagnosis.pipeline import CatalogueIndependent, run_diagnosis
 from wrapjax.diagnosis.result import DiagnosisResult
-from wrapjax.diagnosis.subject_context import build_context
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.paths import PathState, fixed_path
 from wrapjax.io.store import Store
@@ -76,19 +76,19 @@ class Diagnosis:
 
     def to_dataset(self) -> Dataset:
         """Return measured and predicted moments, and evidence by effect, as an `xarray.Dataset`."""
-        from wrapjax.report.labelled_diagnosis import diagnosis_dataset
+        from wrapjax.report.labelled.diagnosis import diagnosis_dataset
 
         return diagnosis_dataset(self.result)
 
     def __str__(self) -> str:
         """Return what the command prints: outcome, most probable effects, errors and advice."""
-        from wrapjax.report.diagnosis_words import diagnosis_text
+        from wrapjax.report.diagnosis.words import diagnosis_text
 
         return diagnosis_text(self.result)
 
     def summary(self) -> dict[str, Any]:
         """Return the content of ``gap.json``."""
-        from wrapjax.report.diagnosis_numbers import describe_diagnosis
+        from wrapjax.report.diagnosis.numbers import describe_diagnosis
 
         return describe_diagnosis(self.subject, self.result)
 
@@ -100,7 +100,7 @@ class Diagnosis:
         InputError
             If the recording has too few cycles to divide the error.
         """
-        from wrapjax.report.diagnosis_location import map_figure
+        from wrapjax.report.diagnosis.location import map_figure
 
         return map_figure(self.result, self._budget())
 
@@ -112,13 +112,13 @@ class Diagnosis:
         InputError
             If the recording has too few cycles to divide the error.
         """
-        from wrapjax.report.diagnosis_location import parts_figure
+        from wrapjax.report.diagnosis.location import parts_figure
 
         return parts_figure(self.result, self._budget())
 
     def plot_signatures(self) -> Figure:
         """Draw the mean residual (N m) and the moments that the strongest effects would add."""
-        from wrapjax.report.diagnosis_effects import signature_figure
+        from wrapjax.report.diagnosis.effects import signature_figure
 
         return signature_figure(self.result)
 
@@ -172,7 +172,7 @@ class Diagnosis:
         motion
             Also write ``motion.html``, which shows the error on the model in motion; takes seconds.
         """
-        from wrapjax.report.diagnosis_page import write_diagnosis
+        from wrapjax.report.diagnosis.page import write_diagnosis
 
         write_diagnosis(self.subject, self.result, Path(folder), force=force, note=note, motion=motion)
 
@@ -197,7 +197,7 @@ def diagnose(
     ----------
     subject
         Subject from `load_subject`; the other leg is not used. The model is calibrated to gait. Trials
-        of other tasks add evidence for effects (`wrapjax.diagnosis.other_tasks`).
+        of other tasks add evidence for effects (`wrapjax.diagnosis.evidence.other_tasks`).
     method, fit
         See `calibrate`; paths are held as the calibration leaves them.
     without

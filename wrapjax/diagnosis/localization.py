@@ -19,11 +19,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 from jaxtyping import Float, Int
 
-from wrapjax.diagnosis.baseline import BaselineFit
-from wrapjax.diagnosis.error_sources import periodic_kernel
-from wrapjax.diagnosis.input import DiagnosisInput, phase_frames
-from wrapjax.diagnosis.linearization import LinearizedModel
-from wrapjax.diagnosis.noise_floor import (
+from wrapjax.diagnosis.evidence.linearization import LinearizedModel
+from wrapjax.diagnosis.fits.baseline import BaselineFit
+from wrapjax.diagnosis.inputs.input import DiagnosisInput, phase_frames
+from wrapjax.diagnosis.null_hypotheses.error_sources import periodic_kernel
+from wrapjax.diagnosis.null_hypotheses.noise_floor import (
     Estimate,
     NoiseFloor,
     RepeatedCycles,

@@ -15,21 +15,21 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.diagnosis.baseline import BaselineFit, fit_baseline
-from wrapjax.diagnosis.claim import examine_claim
-from wrapjax.diagnosis.decision import DecisionConstants, decide, subsets_to_refit
-from wrapjax.diagnosis.gates import adequacy_of_plain_model
-from wrapjax.diagnosis.input import DiagnosisInput
-from wrapjax.diagnosis.law_evidence import law_evidence
-from wrapjax.diagnosis.linearization import linearize
+from wrapjax.diagnosis.claims.claim import examine_claim
+from wrapjax.diagnosis.claims.decision import DecisionConstants, decide, subsets_to_refit
+from wrapjax.diagnosis.claims.gates import adequacy_of_plain_model
+from wrapjax.diagnosis.evidence.law_evidence import law_evidence
+from wrapjax.diagnosis.evidence.linearization import linearize
+from wrapjax.diagnosis.evidence.other_tasks import OtherTasks, task_evidence
+from wrapjax.diagnosis.evidence.score import score
+from wrapjax.diagnosis.fits.baseline import BaselineFit, fit_baseline
+from wrapjax.diagnosis.fits.refit import Ids, Refit, effects_to_refit, refit
+from wrapjax.diagnosis.fits.verification import verify
+from wrapjax.diagnosis.inputs.input import DiagnosisInput
 from wrapjax.diagnosis.localization import localize
-from wrapjax.diagnosis.null_replicates import NullModel, null_replicate_residuals
-from wrapjax.diagnosis.other_tasks import OtherTasks, task_evidence
-from wrapjax.diagnosis.refit import Ids, Refit, effects_to_refit, refit
+from wrapjax.diagnosis.null_hypotheses.null_replicates import NullModel, null_replicate_residuals
 from wrapjax.diagnosis.result import DiagnosisResult, diagnosis_result, result_without_diagnosis
-from wrapjax.diagnosis.score import score
 from wrapjax.diagnosis.uncertain_joints import uncertain_joints
-from wrapjax.diagnosis.verification import verify
 from wrapjax.progress import Stopwatch
 
 #: Fewest calibration cycles at any one speed.

@@ -10,24 +10,24 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.diagnosis.advice import Advice, advise
-from wrapjax.diagnosis.baseline import BaselineFit, ConvergenceCheck, unchecked_convergence
-from wrapjax.diagnosis.decision import Decision, describe_effect
+from wrapjax.diagnosis.claims.advice import Advice, advise
+from wrapjax.diagnosis.claims.decision import Decision, describe_effect
+from wrapjax.diagnosis.claims.gates import Gates
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE, family_probabilities
 from wrapjax.diagnosis.effects.effect import Effect, Effects, NotTestable
-from wrapjax.diagnosis.gates import Gates
-from wrapjax.diagnosis.input import DiagnosisInput
-from wrapjax.diagnosis.joint_fit import effect_size_covariance
-from wrapjax.diagnosis.linearization import LinearizedModel
+from wrapjax.diagnosis.evidence.linearization import LinearizedModel
+from wrapjax.diagnosis.evidence.other_tasks import TaskEvidence
+from wrapjax.diagnosis.evidence.score import Scores
+from wrapjax.diagnosis.evidence.score_test import MIN_DETECTABILITY, Score
+from wrapjax.diagnosis.fits.baseline import BaselineFit, ConvergenceCheck, unchecked_convergence
+from wrapjax.diagnosis.fits.joint_fit import effect_size_covariance
+from wrapjax.diagnosis.fits.refit import Ids, Refit
+from wrapjax.diagnosis.fits.verification import Verification, VerifiedRefit, shapley_values
+from wrapjax.diagnosis.inputs.input import DiagnosisInput
 from wrapjax.diagnosis.localization import BINS, ErrorBudget, Localization, MuscleShare
-from wrapjax.diagnosis.noise_floor import Estimate
-from wrapjax.diagnosis.other_tasks import TaskEvidence
-from wrapjax.diagnosis.refit import Ids, Refit
-from wrapjax.diagnosis.score import Scores
-from wrapjax.diagnosis.score_test import MIN_DETECTABILITY, Score
+from wrapjax.diagnosis.null_hypotheses.noise_floor import Estimate
+from wrapjax.diagnosis.null_hypotheses.undriven_capacity import CapacityShare, undriven_capacity
 from wrapjax.diagnosis.uncertain_joints import UncertainJoints
-from wrapjax.diagnosis.undriven_capacity import CapacityShare, undriven_capacity
-from wrapjax.diagnosis.verification import Verification, VerifiedRefit, shapley_values
 
 
 @dataclass(frozen=True)

@@ -24,9 +24,9 @@ from wrapjax.calibration.uncertainty.posterior import (
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.definition import FROM_MARKERS, JointPlace
 from wrapjax.diagnosis.effects.effect import Effect, EffectParameter, Effects
-from wrapjax.diagnosis.input import DiagnosisInput, phase_frames
-from wrapjax.diagnosis.linearization import LinearizedModel, mean_emg
-from wrapjax.diagnosis.prediction import finite_difference_signatures
+from wrapjax.diagnosis.evidence.linearization import LinearizedModel, mean_emg
+from wrapjax.diagnosis.fits.prediction import finite_difference_signatures
+from wrapjax.diagnosis.inputs.input import DiagnosisInput, phase_frames
 from wrapjax.subject.joint_spread import JointSpread
 
 _Changes = Float[np.ndarray, "change row"]

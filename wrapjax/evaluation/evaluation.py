@@ -13,10 +13,10 @@ from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.evaluation.stored_run import Run, as_run
-from wrapjax.geometry.engine import nominal_parameters
+from wrapjax.geometry.exact_paths.engine import nominal_parameters
+from wrapjax.geometry.exact_paths.wrapped_paths import wrapped_paths
 from wrapjax.geometry.paths import AbstractPath
-from wrapjax.geometry.surrogate import PathSurrogate
-from wrapjax.geometry.wrapped_paths import wrapped_paths
+from wrapjax.geometry.surrogates.surrogate import PathSurrogate
 from wrapjax.io.files import content_hash, new_folder
 from wrapjax.jax_setup import require_float64
 from wrapjax.model.alteration import tendon_alterations
@@ -74,26 +74,26 @@ class Evaluation:
             "muscle_law": self.run.muscle_law,
             "notes": "\n".join(self.notes),
         }
-        from wrapjax.report.labelled_arrays import evaluation_dataset
+        from wrapjax.report.labelled.arrays import evaluation_dataset
 
         return evaluation_dataset(self.trials, self.modelled, attributes)
 
     def summary(self) -> dict[str, Any]:
         """Return the content of ``evaluation.json``; errors are structured as in ``summary.json``."""
-        from wrapjax.report.evaluation_page import describe_evaluation
+        from wrapjax.report.calibration.evaluation_page import describe_evaluation
 
         return describe_evaluation(self.run.summary, self.subject, self.modelled, self.notes)
 
     def plot_moments(self) -> Figure:
         """Draw measured and predicted moments (N m) over the gait cycle."""
-        from wrapjax.report.calibration_curves import moment_figure
-        from wrapjax.report.evaluation_page import predicted_cycles
+        from wrapjax.report.calibration.calibration_curves import moment_figure
+        from wrapjax.report.calibration.evaluation_page import predicted_cycles
 
         return moment_figure(predicted_cycles(self.trials, self.modelled))
 
     def save(self, folder: str | Path, *, force: bool = False) -> None:
         """Write ``evaluation.json``, ``moments/`` and ``report.html`` into a new folder."""
-        from wrapjax.report.evaluation_page import write_evaluation
+        from wrapjax.report.calibration.evaluation_page import write_evaluation
 
         with new_folder(Path(folder), force=force) as place:
             write_evaluation(self.summary(), self.trials, self.modelled, place)

@@ -32,7 +32,7 @@ class LeftOutTasks:
 
     def save(self, folder: str | Path, *, force: bool = False) -> None:
         """Write the folder of the run as `Calibration.save` does, with ``left_out_tasks.csv``."""
-        from wrapjax.report.run_page import write_run
+        from wrapjax.report.calibration.run_page import write_run
 
         write_run(
             [(leg.subject, leg.result) for leg in self.calibration.legs],

@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from wrapjax.errors import InputError, Problem
-from wrapjax.geometry.surrogate import PathSurrogate, surrogate_from_arrays
-from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, PARAMETERS, PARAMETERS_OF
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL_PARAMETERS, PARAMETERS, PARAMETERS_OF
+from wrapjax.geometry.surrogates.surrogate import PathSurrogate, surrogate_from_arrays
 from wrapjax.io.json_and_arrays import load_arrays, load_json
 from wrapjax.io.storage import Storage, read_storage
 from wrapjax.model.freedom import synergy_labels

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from wrapjax.geometry.model_description import ModelDescription
-from wrapjax.geometry.skeleton import Skeleton, SkeletonStructure, body_poses, build_skeleton, stations
+from wrapjax.geometry.skeleton.bodies import Skeleton, SkeletonStructure, body_poses, build_skeleton, stations
+from wrapjax.geometry.skeleton.model_description import ModelDescription
 
 
 class MarkerModel(eqx.Module):

@@ -24,7 +24,7 @@ from jaxtyping import Array, Float
 from wrapjax.calibration.solvers.interface import AbstractLeastSquares, Linearization
 from wrapjax.geometry.inverse_kinematics import Bounds, MarkerGoals, PoseFit, expand, fit_frame
 from wrapjax.geometry.marker_model import MarkerModel
-from wrapjax.geometry.skeleton import body_poses
+from wrapjax.geometry.skeleton.bodies import body_poses
 from wrapjax.joints.changed_skeleton import SkeletonChange
 from wrapjax.joints.skin import SkinMovement
 

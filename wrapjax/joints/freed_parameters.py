@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wrapjax.errors import InputError, Problem, nearest_name
-from wrapjax.geometry.model_description import Joint, ModelDescription
+from wrapjax.geometry.skeleton.model_description import Joint, ModelDescription
 
 #: Kinds of changes of a joint's frames.
 FRAME_KINDS = ("parent_translation", "parent_orientation", "child_translation", "child_orientation")

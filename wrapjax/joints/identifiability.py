@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from wrapjax.geometry.model_description import Joint
+from wrapjax.geometry.skeleton.model_description import Joint
 from wrapjax.joints.freed_parameters import FreedParameter
 
 #: A parameter is determined if markers reduce its standard deviation below this share of the prior one.

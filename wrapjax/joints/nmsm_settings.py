@@ -13,7 +13,7 @@ from pathlib import Path, PureWindowsPath
 from xml.etree.ElementTree import Element
 
 from wrapjax.errors import InputError, Problem, nearest_name
-from wrapjax.geometry.model_description import ModelDescription
+from wrapjax.geometry.skeleton.model_description import ModelDescription
 from wrapjax.io.xml import read_xml
 from wrapjax.joints.freed_parameters import (
     FreedParameter,

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.geometry.skeleton import body_poses, stations
+from wrapjax.geometry.skeleton.bodies import body_poses, stations
 from wrapjax.joints.estimation import JointProblem, fit_poses
 from wrapjax.joints.problem import INITIAL_NOISE
 from wrapjax.joints.skin import angle_features

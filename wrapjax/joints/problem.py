@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.inverse_kinematics import MarkerGoals
 from wrapjax.geometry.marker_model import build_marker_model
-from wrapjax.geometry.model_description import ModelDescription
+from wrapjax.geometry.skeleton.model_description import ModelDescription
 from wrapjax.joints.changed_skeleton import skeleton_change
 from wrapjax.joints.estimation import Frames, JointProblem, in_blocks
 from wrapjax.joints.freed_parameters import (

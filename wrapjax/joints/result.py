@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.errors import InputError
-from wrapjax.geometry.model_description import Joint, ModelDescription
+from wrapjax.geometry.skeleton.model_description import Joint, ModelDescription
 from wrapjax.io.files import new_folder, write_json, write_text
 from wrapjax.joints.freed_parameters import AXES, FRAME_KINDS, FreedParameter
 from wrapjax.joints.identifiability import Posterior, place_spreads
@@ -138,7 +138,7 @@ class JointPersonalisation:
 
     def to_dataset(self) -> Dataset:
         """Return freed values with their uncertainty, and marker distances, as an `xarray.Dataset`."""
-        from wrapjax.report.labelled_geometry import joints_dataset
+        from wrapjax.report.labelled.geometry import joints_dataset
 
         return joints_dataset(self)
 

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from wrapjax.geometry.marker_model import MarkerModel
-from wrapjax.geometry.model_description import ModelDescription
+from wrapjax.geometry.skeleton.model_description import ModelDescription
 from wrapjax.joints.freed_parameters import FRAME_KINDS, FreedParameter
 
 #: Coordinates that spread less are taken to rest, rad or m.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL_PARAMETERS
 from wrapjax.model.parameters import QUANTITIES, ModelParameters
 from wrapjax.muscle.personal_law import LAW_NAMES, LAW_PARAMETERS
 

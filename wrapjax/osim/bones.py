@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from wrapjax.errors import InputError, Problem
-from wrapjax.geometry.model_description import Pose, Triple
+from wrapjax.geometry.skeleton.model_description import Pose, Triple
 from wrapjax.io.xml import read_xml
 from wrapjax.osim.loading import import_opensim, load_model
 from wrapjax.osim.model import read_pose

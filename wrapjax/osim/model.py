@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from wrapjax.errors import InputError, Problem, nearest_name
-from wrapjax.geometry.functions import (
+from wrapjax.geometry.skeleton.functions import (
     CONSTANT_ZERO,
     IDENTITY,
     Function,
@@ -20,7 +20,7 @@ from wrapjax.geometry.functions import (
     Polynomial,
     Spline,
 )
-from wrapjax.geometry.model_description import (
+from wrapjax.geometry.skeleton.model_description import (
     Axis,
     Coordinate,
     Joint,

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem
-from wrapjax.geometry.model_description import ModelDescription
+from wrapjax.geometry.skeleton.model_description import ModelDescription
 from wrapjax.io.files import write_atomically
 from wrapjax.io.store import Store, fingerprint
 from wrapjax.osim.loading import check_is_file

@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from wrapjax.errors import InputError, Problem
-from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, Wrapping
+from wrapjax.geometry.exact_paths.engine import GEODESIC, PARITY, ExactPaths, Wrapping
+from wrapjax.geometry.exact_paths.wrapped_paths import wrapped_paths
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL_PARAMETERS, WRAP_PARAMETERS
 from wrapjax.geometry.paths import AbstractPath, fixed_path
-from wrapjax.geometry.physiological import DEFAULT_THRESHOLDS
-from wrapjax.geometry.wrap_bounds import CYLINDER, parameter_box, translation_bounds
-from wrapjax.geometry.wrapped_paths import wrapped_paths
-from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, WRAP_PARAMETERS
+from wrapjax.geometry.surrogates.physiological import DEFAULT_THRESHOLDS
+from wrapjax.geometry.surrogates.wrap_bounds import CYLINDER, parameter_box, translation_bounds
 from wrapjax.io.files import content_hash
 from wrapjax.jax_setup import require_float64
 from wrapjax.model.freedom import Freedom, FreedWraps, nga_freedom, with_wraps

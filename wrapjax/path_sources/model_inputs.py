@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from wrapjax.geometry.paths import AbstractPath, AdjustablePath, PathState, fixed_path
-from wrapjax.geometry.surrogate import PathSurrogate
+from wrapjax.geometry.surrogates.surrogate import PathSurrogate
 from wrapjax.model.forward import Recording
 from wrapjax.model.parameters import ModelParameters, initial_parameters
 from wrapjax.muscle.excitation import CommandSplines, EmgSpline, fit_emg_spline

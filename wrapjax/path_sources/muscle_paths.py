@@ -19,15 +19,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from wrapjax.errors import InputError, Problem, nearest_name
-from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, Wrapping
-from wrapjax.geometry.model_description import ModelDescription
-from wrapjax.geometry.muscle_batches import MuscleBatch, muscle_batches
-from wrapjax.geometry.wrapping import (
+from wrapjax.geometry.exact_paths.engine import GEODESIC, PARITY, ExactPaths, Wrapping
+from wrapjax.geometry.exact_paths.muscle_batches import MuscleBatch, muscle_batches
+from wrapjax.geometry.exact_paths.wrapping import (
     NOMINAL_PARAMETERS,
     PARAMETERS,
     StraightPath,
     WrappedPath,
 )
+from wrapjax.geometry.skeleton.model_description import ModelDescription
 from wrapjax.jax_setup import require_float64
 from wrapjax.osim.model import describe_model, unknown_names
 
@@ -218,7 +218,7 @@ class MusclePaths:
         parameters: Float[np.ndarray, "wrap wrap_parameter"] | None = None,
     ) -> Dataset:
         """Return lengths and moment arms as an `xarray.Dataset`; arguments as for calling the object."""
-        from wrapjax.report.labelled_geometry import muscle_path_dataset
+        from wrapjax.report.labelled.geometry import muscle_path_dataset
 
         poses = self._checked(poses)
         return muscle_path_dataset(self, poses, self(poses, parameters))
@@ -238,7 +238,7 @@ class MusclePaths:
         ValueError
             If there is no such muscle, or poses are not those of `coordinates`.
         """
-        from wrapjax.report.wrapping_modes import compare_wrapping_modes, wrapping_modes_figure
+        from wrapjax.report.paths.wrapping_modes import compare_wrapping_modes, wrapping_modes_figure
 
         self._check_muscles(muscles)
         poses, model = self._checked(poses), self.engine.model
@@ -266,8 +266,8 @@ class MusclePaths:
         ValueError
             If there is no such muscle, or the pose or the parameters have another shape.
         """
-        from wrapjax.report.moved_paths import path_round_moved_wraps
-        from wrapjax.report.path_views import path_view_figure
+        from wrapjax.report.paths.moved_paths import path_round_moved_wraps
+        from wrapjax.report.paths.path_views import path_view_figure
 
         self._check_muscles([muscle])
         (pose,) = self._checked(np.asarray(pose)[None])

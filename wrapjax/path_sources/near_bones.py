@@ -18,12 +18,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from wrapjax.errors import InputError, Problem
-from wrapjax.geometry.engine import surfaces_of
-from wrapjax.geometry.model_description import WrapObject
-from wrapjax.geometry.physiological import distance_from_bones
-from wrapjax.geometry.wrap_bounds import hammersley, parameter_box
-from wrapjax.geometry.wrap_methods import kind_of
-from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS
+from wrapjax.geometry.exact_paths.engine import surfaces_of
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL_PARAMETERS
+from wrapjax.geometry.skeleton.model_description import WrapObject
+from wrapjax.geometry.surfaces.wrap_methods import kind_of
+from wrapjax.geometry.surrogates.physiological import distance_from_bones
+from wrapjax.geometry.surrogates.wrap_bounds import hammersley, parameter_box
 from wrapjax.osim.bones import attached_meshes, find_bones
 from wrapjax.osim.model import describe_model
 

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.geometry.engine import ExactPaths, Wrapping, nominal_parameters, wrap_at_samples
-from wrapjax.geometry.surrogate import PathSurrogate, fit_surrogate
+from wrapjax.geometry.exact_paths.engine import ExactPaths, Wrapping, nominal_parameters, wrap_at_samples
+from wrapjax.geometry.surrogates.surrogate import PathSurrogate, fit_surrogate
 from wrapjax.io.files import content_hash
 from wrapjax.io.store import Store, fingerprint
 from wrapjax.jax_setup import require_float64

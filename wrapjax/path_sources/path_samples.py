@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem
-from wrapjax.geometry.engine import (
+from wrapjax.geometry.exact_paths.engine import (
     GEODESIC,
     ExactPaths,
     PosedPath,
@@ -21,9 +21,14 @@ from wrapjax.geometry.engine import (
     nominal_parameters,
     wrap_at_samples,
 )
-from wrapjax.geometry.physiological import PhysiologicalThresholds, measure_paths
-from wrapjax.geometry.training_samples import SampleSet, fastest_cycle_poses, plan_samples, random_poses
-from wrapjax.geometry.wrapping import WrappedPath
+from wrapjax.geometry.exact_paths.wrapping import WrappedPath
+from wrapjax.geometry.surrogates.physiological import PhysiologicalThresholds, measure_paths
+from wrapjax.geometry.surrogates.training_samples import (
+    SampleSet,
+    fastest_cycle_poses,
+    plan_samples,
+    random_poses,
+)
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.muscle_analysis import analyse_placements
 from wrapjax.path_sources.exact import WRAPPINGS
@@ -31,7 +36,7 @@ from wrapjax.subject.subject import Subject
 
 if TYPE_CHECKING:
     from wrapjax.path_sources.polynomial_fit import Fit
-    from wrapjax.report.fit_wraps import SampledPath
+    from wrapjax.report.paths.fit_wraps import SampledPath
 
 Poses = Float[np.ndarray, "pose coordinate"]
 #: Number of random training poses near the recorded ones, in addition to the frames of one smooth cycle.
@@ -207,7 +212,7 @@ def physiological_picture(
     InputError
         If the muscle has no samples of wrap parameters.
     """
-    from wrapjax.report.fit_wraps import physiological_figure
+    from wrapjax.report.paths.fit_wraps import physiological_figure
     from wrapjax.report.style import to_svg
 
     (path,) = sampled_paths(subject, fit, [muscle], thresholds)
@@ -241,7 +246,7 @@ def sampled_paths(
     SampledPath
         Curves and reasons for rejection of one muscle.
     """
-    from wrapjax.report.fit_wraps import SampledPath
+    from wrapjax.report.paths.fit_wraps import SampledPath
 
     wraps_of = {} if fit.wraps is None else {name: own for name, own in fit.wraps.wraps_of.items() if own}
     for muscle in muscles:

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.paths import AbstractPath
-from wrapjax.geometry.surrogate import PathSurrogate, surrogate_from_arrays
+from wrapjax.geometry.surrogates.surrogate import PathSurrogate, surrogate_from_arrays
 from wrapjax.io.files import BusyError, content_hash, new_folder, write_atomically, write_json, write_text
 from wrapjax.io.json_and_arrays import load_arrays, load_json
 from wrapjax.model.freedom import Freedom, nga_freedom, with_wraps
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from xarray import Dataset
 
-    from wrapjax.report.fit_wraps import SampledPath
+    from wrapjax.report.paths.fit_wraps import SampledPath
 
 
 @dataclass(frozen=True)
@@ -186,9 +186,9 @@ class Fit:
             the subject.
         """
         from wrapjax.path_sources.path_samples import REPORTED_SAMPLES, sampled_paths
-        from wrapjax.report.fit_page import render_fit
         from wrapjax.report.model_view.page import write_beside_report
         from wrapjax.report.model_view.shown import shown_fit
+        from wrapjax.report.paths.fit_page import render_fit
         from wrapjax.report.provenance import path_from
 
         if subject is not None:
@@ -257,13 +257,13 @@ class Fit:
 
     def to_dataset(self) -> Dataset:
         """Return the errors by muscle, in m, as an `xarray.Dataset`."""
-        from wrapjax.report.labelled_geometry import fit_dataset
+        from wrapjax.report.labelled.geometry import fit_dataset
 
         return fit_dataset(self)
 
     def plot_errors(self) -> Figure:
         """Draw the errors of lengths and moment arms (mm) by muscle."""
-        from wrapjax.report.fit_page import error_figure
+        from wrapjax.report.paths.fit_page import error_figure
 
         return error_figure(self.summary())
 

@@ -11,14 +11,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from wrapjax.errors import InputError, Problem
-from wrapjax.geometry.feasibility import MIN_CLASS_SHARE, Feasibility
+from wrapjax.geometry.exact_paths.wrapped_paths import wrapped_paths
+from wrapjax.geometry.exact_paths.wrapping import PARAMETERS
 from wrapjax.geometry.paths import AdjustablePath, PathState
-from wrapjax.geometry.physiological import PhysiologicalThresholds
-from wrapjax.geometry.surrogate import PathSurrogate
-from wrapjax.geometry.two_level import InnerLevel, TwoLevelPaths, two_level_paths
-from wrapjax.geometry.wrap_bounds import CYLINDER
-from wrapjax.geometry.wrapped_paths import wrapped_paths
-from wrapjax.geometry.wrapping import PARAMETERS
+from wrapjax.geometry.surrogates.feasibility import MIN_CLASS_SHARE, Feasibility
+from wrapjax.geometry.surrogates.physiological import PhysiologicalThresholds
+from wrapjax.geometry.surrogates.surrogate import PathSurrogate
+from wrapjax.geometry.surrogates.two_level import InnerLevel, TwoLevelPaths, two_level_paths
+from wrapjax.geometry.surrogates.wrap_bounds import CYLINDER
 from wrapjax.model.freedom import Freedom, FreedWraps, nga_freedom, with_paths
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.path_sources.exact import angles_of_other_trials, build_engine, freed_wraps, recorded_motion
@@ -53,8 +53,8 @@ class WrapQuality:
         Share of the samples within the parameter bounds that give physiological paths.
     balanced_accuracy, false_physiological
         Accuracy of the classifier together with the exact margins, both of which PGA uses; see
-        `wrapjax.geometry.feasibility.FeasibilityQuality`. Margins are evaluated in recorded poses, and the
-        true class in other poses.
+        `wrapjax.geometry.surrogates.feasibility.FeasibilityQuality`. Margins are evaluated in recorded
+        poses, and the true class in other poses.
     learned_balanced_accuracy, learned_false_physiological
         Accuracy of the classifier alone.
     near_bone_share

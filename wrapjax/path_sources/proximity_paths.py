@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from wrapjax.geometry.exact_paths.wrapped_paths import WrappedPaths
 from wrapjax.geometry.paths import AbstractPath, PathState
-from wrapjax.geometry.wrapped_paths import WrappedPaths
 
 #: Deviations of length and moment arm from the exact path (m), beyond those of the nominal paths, that add
 #: one to the squared proximity.

@@ -11,8 +11,8 @@ import jax
 import numpy as np
 
 from wrapjax.errors import InputError, Problem
-from wrapjax.geometry.engine import ExactPaths
-from wrapjax.geometry.path_derivatives import compute_nominal_paths
+from wrapjax.geometry.exact_paths.engine import ExactPaths
+from wrapjax.geometry.exact_paths.path_derivatives import compute_nominal_paths
 from wrapjax.geometry.paths import PathState
 from wrapjax.io.model_file import read_model_file
 from wrapjax.model.freedom import Freedom, with_synergies

@@ -12,24 +12,24 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from wrapjax.geometry.engine import (
+from wrapjax.geometry.exact_paths.engine import (
     GEODESIC,
     ExactPaths,
     PosedPath,
     nominal_parameters,
     wrap_at_samples,
 )
-from wrapjax.geometry.feasibility import Feasibility, feasibility_quality, fit_feasibility
-from wrapjax.geometry.physiological import (
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL_PARAMETERS, WRAP_PARAMETERS, WrappedPath
+from wrapjax.geometry.surrogates.feasibility import Feasibility, feasibility_quality, fit_feasibility
+from wrapjax.geometry.surrogates.physiological import (
     DEFAULT_THRESHOLDS,
     PhysiologicalThresholds,
     measure_paths,
 )
-from wrapjax.geometry.surrogate import PathSurrogate
-from wrapjax.geometry.training_samples import SamplePlan, SampleSet, plan_samples
-from wrapjax.geometry.two_level import InnerLevel, fit_inner_level, wrap_exponents
-from wrapjax.geometry.wrap_bounds import translation_bounds, usable_for_all_muscles
-from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, WRAP_PARAMETERS, WrappedPath
+from wrapjax.geometry.surrogates.surrogate import PathSurrogate
+from wrapjax.geometry.surrogates.training_samples import SamplePlan, SampleSet, plan_samples
+from wrapjax.geometry.surrogates.two_level import InnerLevel, fit_inner_level, wrap_exponents
+from wrapjax.geometry.surrogates.wrap_bounds import translation_bounds, usable_for_all_muscles
 from wrapjax.io.store import Store, fingerprint
 from wrapjax.jax_setup import require_float64
 from wrapjax.osim.model import describe_model

@@ -18,8 +18,8 @@ from wrapjax.geometry.inverse_kinematics import (
     fit_successive,
 )
 from wrapjax.geometry.marker_model import MarkerModel, build_marker_model
-from wrapjax.geometry.model_description import Coordinate, ModelDescription
-from wrapjax.geometry.skeleton import all_coordinate_values, body_poses, build_skeleton, stations
+from wrapjax.geometry.skeleton.bodies import all_coordinate_values, body_poses, build_skeleton, stations
+from wrapjax.geometry.skeleton.model_description import Coordinate, ModelDescription
 from wrapjax.io.files import new_folder, write_json
 from wrapjax.io.storage import Storage, write_storage
 from wrapjax.jax_setup import require_float64
@@ -105,7 +105,7 @@ class InverseKinematics:
 
     def to_dataset(self) -> Dataset:
         """Return coordinates and markers as an `xarray.Dataset`."""
-        from wrapjax.report.labelled_geometry import inverse_kinematics_dataset
+        from wrapjax.report.labelled.geometry import inverse_kinematics_dataset
 
         return inverse_kinematics_dataset(self)
 

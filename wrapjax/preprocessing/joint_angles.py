@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem
-from wrapjax.geometry.model_description import Coordinate
+from wrapjax.geometry.skeleton.model_description import Coordinate
 from wrapjax.io.model_file import CoordinateInfo
 from wrapjax.io.storage import find_columns, read_storage
 from wrapjax.subject.recordings import check_angle_unit, select_angles

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from wrapjax.errors import InputError, Problem
-from wrapjax.geometry.model_description import ModelDescription
+from wrapjax.geometry.skeleton.model_description import ModelDescription
 from wrapjax.preprocessing.markers import Markers
 
 #: Ratio of recorded to modelled distances between markers of a body beyond which the unit must be wrong.

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem, nearest_name
-from wrapjax.geometry.model_description import Coordinate
+from wrapjax.geometry.skeleton.model_description import Coordinate
 from wrapjax.io.model_file import ModelFile
 from wrapjax.io.storage import Storage, read_storage
 from wrapjax.preprocessing.c3d import is_c3d, read_c3d_analog, read_c3d_markers, read_plates

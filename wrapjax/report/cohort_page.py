@@ -11,9 +11,9 @@ import numpy as np
 
 from wrapjax.io.files import write_json, write_text
 from wrapjax.report import markup
+from wrapjax.report.calibration.run_summary import USES
 from wrapjax.report.formatting import DASH, counted, decimals, readable
 from wrapjax.report.provenance import package_versions, versions_in_words
-from wrapjax.report.run_summary import USES
 from wrapjax.report.style import (
     BLUE,
     GRAY,

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.geometry.model_description import ModelDescription
-from wrapjax.geometry.skeleton import SkeletonStructure, body_poses, build_skeleton
+from wrapjax.geometry.skeleton.bodies import SkeletonStructure, body_poses, build_skeleton
+from wrapjax.geometry.skeleton.model_description import ModelDescription
 from wrapjax.joints.freed_parameters import FRAME_KINDS, FreedParameter
 from wrapjax.preprocessing.inverse_kinematics import InverseKinematics
 from wrapjax.report import markup

@@ -8,7 +8,7 @@ import numpy as np
 from tests.osim.bone_file import TETRAHEDRON
 from tests.report.model_view.conftest import COORDINATES, FRAMES, MUSCLES, numbers_of
 from tests.report.page import Page
-from wrapjax.geometry.model_description import Pose
+from wrapjax.geometry.skeleton.model_description import Pose
 from wrapjax.osim.bones import AttachedMesh
 from wrapjax.report.model_view.page import render_page
 from wrapjax.report.model_view.payload import describe_scene, to_script

@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.report.model_view.conftest import COORDINATES, FRAMES, MOVED, MUSCLES
-from wrapjax.geometry.engine import ExactPaths, wrap_at_samples
-from wrapjax.geometry.kinematics import CoordinateValues, body_motion
-from wrapjax.geometry.model_description import Pose
-from wrapjax.geometry.routed_path import route_path
-from wrapjax.geometry.wrapping import NOMINAL
+from wrapjax.geometry.exact_paths.engine import ExactPaths, wrap_at_samples
+from wrapjax.geometry.exact_paths.routed_path import route_path
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL
+from wrapjax.geometry.skeleton.kinematics import CoordinateValues, body_motion
+from wrapjax.geometry.skeleton.model_description import Pose
 from wrapjax.report.model_view.quantities import gap_errors
 from wrapjax.report.model_view.scene import Placement, build_scene
 from wrapjax.report.model_view.wrap_shapes import wrap_shape

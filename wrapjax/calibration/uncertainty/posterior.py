@@ -26,7 +26,7 @@ from wrapjax.calibration.solvers.augmented_lagrangian import LagrangianState
 from wrapjax.calibration.solvers.interface import AbstractCalibration
 from wrapjax.calibration.two_legs import TwoLegObjective
 from wrapjax.calibration.uncertainty.residual_noise import ResidualNoise, residual_noise
-from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, PARAMETERS
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL_PARAMETERS, PARAMETERS
 from wrapjax.model.parameters import QUANTITIES
 from wrapjax.model.variables import Variables
 

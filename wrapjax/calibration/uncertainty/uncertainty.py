@@ -124,19 +124,19 @@ class Uncertainty:
 
     def summary(self) -> dict[str, Any]:
         """Return the content of ``uncertainty.json`` of the leg (the first of two)."""
-        from wrapjax.report.spread import describe_uncertainty
+        from wrapjax.report.calibration.spread import describe_uncertainty
 
         return describe_uncertainty(self.calibration.result, self.spread)
 
     def to_dataset(self) -> Dataset:
         """Return the uncertainty of the parameters of the leg (the first of two) as an `xarray.Dataset`."""
-        from wrapjax.report.labelled_arrays import spread_dataset
+        from wrapjax.report.labelled.arrays import spread_dataset
 
         return spread_dataset(self.spread.parameters, self.way)
 
     def plot_moments(self) -> Figure:
         """Draw measured and modelled moments (N m) with the 90 % band of the draws."""
-        from wrapjax.report.spread import band_figure
+        from wrapjax.report.calibration.spread import band_figure
 
         return band_figure(self.calibration.result, self.spread)
 
@@ -157,7 +157,7 @@ class Uncertainty:
         InputError
             If the folder exists and ``force`` is not set, or it cannot be created.
         """
-        from wrapjax.report.run_page import write_run
+        from wrapjax.report.calibration.run_page import write_run
 
         write_run(
             [(leg.subject, leg.result) for leg in self.calibration.legs],

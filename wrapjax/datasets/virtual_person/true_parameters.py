@@ -13,10 +13,10 @@ from jaxtyping import Bool, Float
 from wrapjax.datasets.virtual_person.anatomy import COORDINATES, CYLINDERS
 from wrapjax.datasets.virtual_person.gait import CHANNELS
 from wrapjax.datasets.virtual_person.leg import FIBER_LENGTH_CENTER, MUSCLES, on_side
-from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, PosedPath, wrap_at_samples
-from wrapjax.geometry.wrap_bounds import usable_samples
-from wrapjax.geometry.wrapped_paths import barriers_around
-from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS
+from wrapjax.geometry.exact_paths.engine import GEODESIC, PARITY, ExactPaths, PosedPath, wrap_at_samples
+from wrapjax.geometry.exact_paths.wrapped_paths import barriers_around
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL, WRAP_PARAMETERS
+from wrapjax.geometry.surrogates.wrap_bounds import usable_samples
 from wrapjax.io.files import write_json
 from wrapjax.io.json_and_arrays import load_json
 from wrapjax.osim.model import describe_model

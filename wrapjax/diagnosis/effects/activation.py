@@ -8,10 +8,10 @@ import jax.numpy as jnp
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
-from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.effects.definition import EffectDefinition
 from wrapjax.diagnosis.effects.effect import EffectParameter, EffectSizes, Variant
 from wrapjax.diagnosis.effects.experiments import ISOMETRIC_RAMPS, THIRD_WALKING_SPEED
+from wrapjax.diagnosis.inputs.context import Context
 from wrapjax.model.alteration import Alteration, MuscleAlteration, MuscleInputs
 
 #: Activation at which a lag that depends on the level of activation is zero.

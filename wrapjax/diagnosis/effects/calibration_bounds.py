@@ -11,10 +11,10 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
-from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.effects.definition import EffectDefinition, RepeatedParameter, Requirement
 from wrapjax.diagnosis.effects.effect import EffectSizes, Variant
 from wrapjax.diagnosis.effects.experiments import ISOMETRIC_RAMPS
+from wrapjax.diagnosis.inputs.context import Context
 from wrapjax.model.alteration import Alteration, MuscleAlteration, MuscleInputs
 
 

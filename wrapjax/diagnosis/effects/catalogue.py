@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.effects.activation import ACTIVATION_FAMILY, DEACTIVATION_ASYMMETRY, EMG_NONLINEARITY
 from wrapjax.diagnosis.effects.calibration_bounds import BOUND_PRESSURE
 from wrapjax.diagnosis.effects.definition import EffectDefinition
@@ -54,6 +53,7 @@ from wrapjax.diagnosis.effects.unrecorded_excitation import (
     SPASTICITY_RECORDED,
     SPASTICITY_UNRECORDED,
 )
+from wrapjax.diagnosis.inputs.context import Context
 from wrapjax.errors import InputError, Problem, nearest_name
 
 # Definitions of all effects. Several effects at once alter a stage of the model in this order.

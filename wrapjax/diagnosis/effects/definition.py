@@ -11,7 +11,6 @@ import jax.numpy as jnp
 from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float
 
-from wrapjax.diagnosis.context import Context, MeasuredChange
 from wrapjax.diagnosis.effects.effect import (
     Effect,
     EffectParameter,
@@ -21,8 +20,9 @@ from wrapjax.diagnosis.effects.effect import (
     add_to_paths,
 )
 from wrapjax.diagnosis.effects.experiments import Experiment
-from wrapjax.diagnosis.recorded_inputs.recorded_movement import MomentDerivatives, RecordedMovement
-from wrapjax.diagnosis.recorded_inputs.recorded_paths import RecordedPaths
+from wrapjax.diagnosis.inputs.context import Context, MeasuredChange
+from wrapjax.diagnosis.inputs.recorded_movement import MomentDerivatives, RecordedMovement
+from wrapjax.diagnosis.inputs.recorded_paths import RecordedPaths
 from wrapjax.geometry.paths import PathState
 from wrapjax.model.alteration import Alteration
 from wrapjax.subject.joint_spread import JointSpread

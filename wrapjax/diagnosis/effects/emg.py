@@ -10,7 +10,6 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float, Int
 
-from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.effects.definition import EffectDefinition, RepeatedParameter, Requirement
 from wrapjax.diagnosis.effects.effect import EffectParameter, EffectSizes, Variant, delay_emg
 from wrapjax.diagnosis.effects.experiments import (
@@ -21,6 +20,7 @@ from wrapjax.diagnosis.effects.experiments import (
     SYNC_PULSE,
 )
 from wrapjax.diagnosis.effects.periodic import with_padding
+from wrapjax.diagnosis.inputs.context import Context
 from wrapjax.model.alteration import Alteration, MuscleAlteration, MuscleInputs
 from wrapjax.muscle.excitation import EmgSpline, sharpen_emg
 from wrapjax.subject.muscle_groups import are_neighbours, region_of

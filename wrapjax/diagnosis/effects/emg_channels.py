@@ -9,7 +9,6 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float, Int
 
-from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.effects.definition import EffectDefinition, RepeatedParameter, Requirement
 from wrapjax.diagnosis.effects.effect import EffectSizes, Variant
 from wrapjax.diagnosis.effects.emg import (
@@ -20,6 +19,7 @@ from wrapjax.diagnosis.effects.emg import (
     first_muscles,
 )
 from wrapjax.diagnosis.effects.experiments import REPEATED_FIRST_TRIAL, SINGLE_MUSCLE_CONTRACTIONS
+from wrapjax.diagnosis.inputs.context import Context
 from wrapjax.model.alteration import Alteration
 from wrapjax.muscle.excitation import EmgSpline
 from wrapjax.subject.gait_activity import exchanged_channels

@@ -9,11 +9,11 @@ import jax.numpy as jnp
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
-from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.effects.definition import EffectDefinition
 from wrapjax.diagnosis.effects.effect import EffectParameter, EffectSizes, Variant
 from wrapjax.diagnosis.effects.experiments import ISOMETRIC_RAMPS, STRETCH_AND_HOLD, THIRD_WALKING_SPEED
 from wrapjax.diagnosis.effects.periodic import periodic_scan
+from wrapjax.diagnosis.inputs.context import Context
 from wrapjax.model.alteration import Alteration, MuscleAlteration, MuscleInputs
 from wrapjax.muscle.hill import FiberState
 

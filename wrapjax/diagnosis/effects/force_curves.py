@@ -9,7 +9,6 @@ import jax.numpy as jnp
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
-from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.effects.definition import EffectDefinition, RepeatedParameter, Requirement
 from wrapjax.diagnosis.effects.effect import EffectParameter, EffectSizes, Variant
 from wrapjax.diagnosis.effects.experiments import ISOMETRIC_RAMPS, SLOW_PASSIVE_MOTION
@@ -19,6 +18,7 @@ from wrapjax.diagnosis.effects.spastic_groups import (
     muscles_of_spastic_groups,
     recorded_spastic_groups,
 )
+from wrapjax.diagnosis.inputs.context import Context
 from wrapjax.model.alteration import Alteration, MuscleAlteration, MuscleInputs
 from wrapjax.muscle.curves import AbstractCurves
 

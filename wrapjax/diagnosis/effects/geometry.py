@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 from jax.tree_util import Partial
 
-from wrapjax.diagnosis.context import PathChanges
 from wrapjax.diagnosis.effects.definition import EffectDefinition, RepeatedParameter, Requirement
 from wrapjax.diagnosis.effects.effect import EffectSizes, Variant, add_to_paths
 from wrapjax.diagnosis.effects.experiments import PATHS_BY_ULTRASOUND
+from wrapjax.diagnosis.inputs.context import PathChanges
 from wrapjax.model.alteration import Alteration
 
 #: Largest effect size, in prior standard deviations.

@@ -10,7 +10,6 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
-from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.effects.definition import EffectDefinition, RepeatedParameter, Requirement
 from wrapjax.diagnosis.effects.effect import EffectParameter, EffectSizes, Variant
 from wrapjax.diagnosis.effects.experiments import (
@@ -18,6 +17,7 @@ from wrapjax.diagnosis.effects.experiments import (
     SLOW_PASSIVE_MOTION,
     WITHOUT_ORTHOSIS,
 )
+from wrapjax.diagnosis.inputs.context import Context
 from wrapjax.model.alteration import Alteration
 
 #: Moments per unit of each parameter, N m.

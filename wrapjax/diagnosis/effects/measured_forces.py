@@ -8,7 +8,7 @@ from jaxtyping import Float
 from wrapjax.diagnosis.effects.definition import EffectDefinition, Requirement
 from wrapjax.diagnosis.effects.effect import EffectParameter
 from wrapjax.diagnosis.effects.experiments import ROD_ON_PLATE, SYNC_PULSE, WITHOUT_ORTHOSIS
-from wrapjax.diagnosis.recorded_inputs.recorded_movement import CONTACT, MomentDerivatives, RecordedMovement
+from wrapjax.diagnosis.inputs.recorded_movement import CONTACT, MomentDerivatives, RecordedMovement
 
 # ---- Center of pressure
 

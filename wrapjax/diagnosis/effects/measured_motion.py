@@ -10,13 +10,13 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
-from wrapjax.diagnosis.context import Context, MeasuredChange
 from wrapjax.diagnosis.effects.definition import EffectDefinition, RepeatedParameter, Requirement
 from wrapjax.diagnosis.effects.effect import EffectParameter, EffectSizes, Variant, add_to_paths, delay_emg
 from wrapjax.diagnosis.effects.experiments import MULTI_SEGMENT_FOOT, SQUAT_WITH_CLUSTERS, THIRD_WALKING_SPEED
 from wrapjax.diagnosis.effects.periodic import periodic_bell
-from wrapjax.diagnosis.recorded_inputs.recorded_movement import MomentDerivatives, RecordedMovement
-from wrapjax.diagnosis.recorded_inputs.recorded_paths import RecordedPaths
+from wrapjax.diagnosis.inputs.context import Context, MeasuredChange
+from wrapjax.diagnosis.inputs.recorded_movement import MomentDerivatives, RecordedMovement
+from wrapjax.diagnosis.inputs.recorded_paths import RecordedPaths
 from wrapjax.geometry.paths import PathState
 from wrapjax.model.alteration import Alteration
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from wrapjax.diagnosis.context import Context
+from wrapjax.diagnosis.inputs.context import Context
 
 
 def with_padding(

@@ -9,12 +9,12 @@ import numpy as np
 from wrapjax.diagnosis.effects.definition import EffectDefinition, JointPlace
 from wrapjax.diagnosis.effects.effect import EffectParameter
 from wrapjax.diagnosis.effects.experiments import STAR_ARC_MOVEMENTS
-from wrapjax.diagnosis.recorded_inputs.recorded_movement import MomentDerivatives, RecordedMovement
-from wrapjax.diagnosis.recorded_inputs.recorded_paths import RecordedPaths, engine_motion
-from wrapjax.geometry.joint_changes import with_moved_joint, with_rotated_joint_axes
-from wrapjax.geometry.model_description import ModelDescription
-from wrapjax.geometry.path_derivatives import derivatives_by_model_changes
+from wrapjax.diagnosis.inputs.recorded_movement import MomentDerivatives, RecordedMovement
+from wrapjax.diagnosis.inputs.recorded_paths import RecordedPaths, engine_motion
+from wrapjax.geometry.exact_paths.path_derivatives import derivatives_by_model_changes
 from wrapjax.geometry.paths import PathState
+from wrapjax.geometry.skeleton.joint_changes import with_moved_joint, with_rotated_joint_axes
+from wrapjax.geometry.skeleton.model_description import ModelDescription
 
 #: Variants of a joint in a wrong place: whether the foot stays where it is, held by markers, or is displaced
 #: with the joint, since the laboratory's angles are kept.

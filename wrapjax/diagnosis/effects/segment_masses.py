@@ -8,7 +8,7 @@ from jaxtyping import Float
 from wrapjax.diagnosis.effects.definition import EffectDefinition
 from wrapjax.diagnosis.effects.effect import EffectParameter
 from wrapjax.diagnosis.effects.experiments import KNOWN_MASS_AT_SHANK
-from wrapjax.diagnosis.recorded_inputs.recorded_movement import MomentDerivatives, RecordedMovement
+from wrapjax.diagnosis.inputs.recorded_movement import MomentDerivatives, RecordedMovement
 
 # ---- Segment inertia
 

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.effects.definition import Requirement
+from wrapjax.diagnosis.inputs.context import Context
 from wrapjax.subject.muscle_groups import SPASTIC_GROUPS
 
 PARETIC_LEG = Requirement(

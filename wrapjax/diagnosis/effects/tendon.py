@@ -8,10 +8,10 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
-from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.effects.definition import EffectDefinition, Requirement
 from wrapjax.diagnosis.effects.effect import EffectParameter, EffectSizes, Variant
 from wrapjax.diagnosis.effects.experiments import SINGLE_MUSCLE_CONTRACTIONS, THIRD_WALKING_SPEED
+from wrapjax.diagnosis.inputs.context import Context
 from wrapjax.geometry.paths import PathState
 from wrapjax.model.alteration import Alteration, CompliantTendon
 from wrapjax.subject.muscle_groups import SPASTIC_GROUPS

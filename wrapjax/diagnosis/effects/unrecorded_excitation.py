@@ -8,7 +8,6 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
-from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.effects.definition import EffectDefinition, RepeatedParameter, Requirement
 from wrapjax.diagnosis.effects.effect import EffectParameter, EffectSizes, Variant
 from wrapjax.diagnosis.effects.experiments import FINE_WIRE_EMG, PASSIVE_STRETCH_AT_TWO_SPEEDS
@@ -19,6 +18,7 @@ from wrapjax.diagnosis.effects.spastic_groups import (
     muscles_of_spastic_groups,
     recorded_spastic_groups,
 )
+from wrapjax.diagnosis.inputs.context import Context
 from wrapjax.model.alteration import Alteration, MuscleAlteration, MuscleInputs, fiber_parameters
 from wrapjax.muscle.hill import rigid_tendon_fiber
 from wrapjax.path_sources.undriven_muscles import UndrivenMuscles

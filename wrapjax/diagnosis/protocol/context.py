@@ -12,7 +12,8 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float, Int
 
-from wrapjax.diagnosis.context import ChangesOfCycles, Context, PathChanges, with_changes
+from wrapjax.diagnosis.inputs.context import ChangesOfCycles, Context, PathChanges, with_changes
+from wrapjax.diagnosis.inputs.subject_context import changes_of_ends, changes_of_wraps
 from wrapjax.diagnosis.protocol.paths import (
     CandidatePostures,
     by_angles_through_length,
@@ -21,8 +22,7 @@ from wrapjax.diagnosis.protocol.paths import (
     sped_up,
 )
 from wrapjax.diagnosis.protocol.trials import CandidateTrial
-from wrapjax.diagnosis.subject_context import changes_of_ends, changes_of_wraps
-from wrapjax.geometry.engine import ExactPaths
+from wrapjax.geometry.exact_paths.engine import ExactPaths
 from wrapjax.geometry.paths import PathState, fixed_path
 from wrapjax.model.forward import Recording
 from wrapjax.model.parameters import ModelParameters

@@ -15,8 +15,8 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Bool, Float, Int
 
-from wrapjax.diagnosis.error_sources import Matrix
-from wrapjax.diagnosis.linearization import Candidate
+from wrapjax.diagnosis.evidence.linearization import Candidate
+from wrapjax.diagnosis.null_hypotheses.error_sources import Matrix
 
 
 @dataclass(frozen=True)

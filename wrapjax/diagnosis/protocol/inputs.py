@@ -12,17 +12,17 @@ from jaxtyping import Array, Bool, Float, Int
 from wrapjax.calibration.calibration import Calibration
 from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.problem import build_objective
-from wrapjax.diagnosis.context import Context
-from wrapjax.diagnosis.cycle_noise import CycleNoise, cycle_noise
 from wrapjax.diagnosis.effects.catalogue import available_effects, catalogue
-from wrapjax.diagnosis.input import DiagnosisInput, phase_frames, speed_numbers
-from wrapjax.diagnosis.linearization import LinearizedModel, linearized_model
-from wrapjax.diagnosis.other_tasks import OtherTasks
-from wrapjax.diagnosis.priors import with_published_priors
+from wrapjax.diagnosis.evidence.linearization import LinearizedModel, linearized_model
+from wrapjax.diagnosis.evidence.other_tasks import OtherTasks
+from wrapjax.diagnosis.evidence.task_covariance import LinearizedTasks
+from wrapjax.diagnosis.inputs.context import Context
+from wrapjax.diagnosis.inputs.input import DiagnosisInput, phase_frames, speed_numbers
+from wrapjax.diagnosis.inputs.priors import with_published_priors
+from wrapjax.diagnosis.null_hypotheses.cycle_noise import CycleNoise, cycle_noise
 from wrapjax.diagnosis.protocol.context import Leg, at_other_speed, candidate_context, joined
 from wrapjax.diagnosis.protocol.trials import CandidateTrial, candidate_trials
-from wrapjax.diagnosis.task_covariance import LinearizedTasks
-from wrapjax.geometry.engine import ExactPaths
+from wrapjax.geometry.exact_paths.engine import ExactPaths
 from wrapjax.geometry.paths import AbstractPath
 from wrapjax.model.forward import Recording, joint_moments
 from wrapjax.model.freedom import Freedom, nga_freedom

@@ -16,8 +16,8 @@ from jaxtyping import Array, Float
 from scipy.interpolate import CubicSpline
 
 from wrapjax.diagnosis.protocol.trials import Movement, positions, rates
-from wrapjax.geometry.engine import ExactPaths
-from wrapjax.geometry.path_derivatives import (
+from wrapjax.geometry.exact_paths.engine import ExactPaths
+from wrapjax.geometry.exact_paths.path_derivatives import (
     compute_nominal_paths,
     derivatives_by_ends,
     derivatives_by_wrap_parameters,

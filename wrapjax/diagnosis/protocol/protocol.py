@@ -16,18 +16,18 @@ from wrapjax.calibration.calibration import STARTS, cached_calibration
 from wrapjax.calibration.problem import fit_for_methods
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.calibration.solvers.multistart import IterationCallback
-from wrapjax.diagnosis.decision import TIE_DISTANCE
+from wrapjax.diagnosis.claims.decision import TIE_DISTANCE
 from wrapjax.diagnosis.diagnosis import Diagnosis, diagnosis_input
 from wrapjax.diagnosis.effects.catalogue import refuse_unknown
-from wrapjax.diagnosis.linearization import Candidate
-from wrapjax.diagnosis.other_tasks import other_tasks
+from wrapjax.diagnosis.evidence.linearization import Candidate
+from wrapjax.diagnosis.evidence.other_tasks import other_tasks
+from wrapjax.diagnosis.evidence.score_test import MIN_DETECTABILITY
+from wrapjax.diagnosis.evidence.task_covariance import ErrorSizes, TaskCovariance
 from wrapjax.diagnosis.protocol.detectability import Design, Detection, detection, information_gain
 from wrapjax.diagnosis.protocol.inputs import ProtocolInput, input_of_calibration, input_of_model
 from wrapjax.diagnosis.protocol.result import AdvisedTrial, ProtocolResult
 from wrapjax.diagnosis.protocol.trials import CandidateTrial
 from wrapjax.diagnosis.result import DiagnosisResult
-from wrapjax.diagnosis.score_test import MIN_DETECTABILITY
-from wrapjax.diagnosis.task_covariance import ErrorSizes, TaskCovariance
 from wrapjax.errors import InputError, Problem
 from wrapjax.path_sources.exact import ExactGeometry
 from wrapjax.path_sources.polynomial_fit import Fit
@@ -52,19 +52,19 @@ class Protocol(ProtocolResult):
 
     def summary(self) -> dict[str, Any]:
         """Return the content of ``protocol.json``."""
-        from wrapjax.report.protocol_page import describe_protocol
+        from wrapjax.report.diagnosis.protocol_page import describe_protocol
 
         return describe_protocol(self)
 
     def to_dataset(self) -> Dataset:
         """Return detectability, distances of effects and information by trial as an `xarray.Dataset`."""
-        from wrapjax.report.labelled_diagnosis import protocol_dataset
+        from wrapjax.report.labelled.diagnosis import protocol_dataset
 
         return protocol_dataset(self)
 
     def plot_detectability(self) -> Figure:
         """Draw the detectability of every effect before and after the advised trials."""
-        from wrapjax.report.protocol_page import detectability_figure
+        from wrapjax.report.diagnosis.protocol_page import detectability_figure
 
         return detectability_figure(self)
 
@@ -83,7 +83,7 @@ class Protocol(ProtocolResult):
         force
             Replace an existing folder.
         """
-        from wrapjax.report.protocol_page import write_protocol
+        from wrapjax.report.diagnosis.protocol_page import write_protocol
 
         write_protocol(self, Path(folder), force=force)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.diagnosis.advice import Advice
+from wrapjax.diagnosis.claims.advice import Advice
 from wrapjax.diagnosis.protocol.detectability import Detection
 from wrapjax.diagnosis.protocol.trials import CandidateTrial
 

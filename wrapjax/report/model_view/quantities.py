@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.geometry.surrogate import PathSurrogate
+from wrapjax.geometry.surrogates.surrogate import PathSurrogate
 from wrapjax.report.model_view.scene import Motion, Scene
 
 #: Axes that a quantity may have besides frames.

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from wrapjax.errors import InputError, Problem
 from wrapjax.evaluation.stored_run import Run, load_run, read_curves
-from wrapjax.geometry.model_description import Pose
+from wrapjax.geometry.skeleton.model_description import Pose
 from wrapjax.io.files import content_hash
 from wrapjax.io.json_and_arrays import load_json
 from wrapjax.io.storage import read_storage

@@ -14,11 +14,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from wrapjax.errors import InputError
-from wrapjax.geometry.engine import ExactPaths
-from wrapjax.geometry.kinematics import BodyMotion, CoordinateValues, body_motion
-from wrapjax.geometry.model_description import Joint, ModelDescription, Pose
-from wrapjax.geometry.routed_path import RoutedPath, route_paths
-from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS
+from wrapjax.geometry.exact_paths.engine import ExactPaths
+from wrapjax.geometry.exact_paths.routed_path import RoutedPath, route_paths
+from wrapjax.geometry.exact_paths.wrapping import NOMINAL_PARAMETERS
+from wrapjax.geometry.skeleton.kinematics import BodyMotion, CoordinateValues, body_motion
+from wrapjax.geometry.skeleton.model_description import Joint, ModelDescription, Pose
 from wrapjax.path_sources.muscle_paths import MusclePaths
 from wrapjax.report.model_view.wrap_shapes import WrapShape, wrap_shape
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from wrapjax.errors import InputError, Problem, nearest_name
-from wrapjax.geometry.model_description import ModelDescription, Pose
-from wrapjax.geometry.surrogate import PathSurrogate
+from wrapjax.geometry.skeleton.model_description import ModelDescription, Pose
+from wrapjax.geometry.surrogates.surrogate import PathSurrogate
 from wrapjax.osim.model import describe_model
 from wrapjax.report.formatting import counted
 from wrapjax.report.model_view.quantities import Quantity

@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from wrapjax.geometry.engine import surfaces_of
-from wrapjax.geometry.model_description import WrapObject
-from wrapjax.geometry.placed_surface import PlacedSurface
-from wrapjax.geometry.wrapping import Surface
+from wrapjax.geometry.exact_paths.engine import surfaces_of
+from wrapjax.geometry.exact_paths.wrapping import Surface
+from wrapjax.geometry.skeleton.model_description import WrapObject
+from wrapjax.geometry.surfaces.placed_surface import PlacedSurface
 
 # Vertices round the axis of a surface, and circles of an ellipsoid or round a torus' tube.
 _FACETS, _RINGS = 48, 16

@@ -1,0 +1,1 @@
+"""What may be said: probabilities, decisions, the four gates, and advice on the next recording."""

@@ -1,0 +1,1 @@
+"""Evidence for each effect and for published muscle laws, in gait and in other tasks."""

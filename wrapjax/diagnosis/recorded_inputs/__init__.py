@@ -1,1 +1,0 @@
-"""Recorded movements and paths, and their changes by errors in the inputs of inverse dynamics."""

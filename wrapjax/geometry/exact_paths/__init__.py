@@ -1,0 +1,1 @@
+"""Exact muscle paths over several points and surfaces, with derivatives by all that may be adjusted."""

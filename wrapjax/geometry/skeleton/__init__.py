@@ -1,0 +1,1 @@
+"""Bodies, joints and coordinates of a model, by NumPy: description, kinematics, changed joints."""

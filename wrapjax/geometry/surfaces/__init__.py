@@ -1,0 +1,1 @@
+"""Wrapping surfaces of every kind: the path of one segment round one of them."""

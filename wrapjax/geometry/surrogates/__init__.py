@@ -1,0 +1,1 @@
+"""Polynomials that stand for muscle paths, and the wrap parameters for which they hold."""

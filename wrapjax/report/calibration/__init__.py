@@ -1,0 +1,1 @@
+"""Report of a calibration, of its evaluation, and of initial lengths."""

@@ -1,0 +1,1 @@
+"""Report of joint contact forces."""

@@ -1,0 +1,1 @@
+"""Reports of a diagnosis, of a difference between conditions, and of a protocol."""
