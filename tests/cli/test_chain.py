@@ -28,6 +28,7 @@ def chain(run, tmp_path_factory):
     return outcomes, folder
 
 
+@pytest.mark.slow
 def test_every_step_takes_what_the_one_before_wrote(chain):
     outcomes, folder = chain
     assert [one.status for one in outcomes] == [0] * 4, [one.progress[-500:] for one in outcomes]
@@ -40,6 +41,7 @@ def test_every_step_takes_what_the_one_before_wrote(chain):
                 assert set(spread[name].correlation) >= set(joint["coordinates"])
 
 
+@pytest.mark.slow
 def test_one_index_links_all_results(chain):
     found = {one.kind: one for one in find_results(chain[1])}
     assert {"joint personalisation", "calibration"} <= set(found)

@@ -1,6 +1,6 @@
 """``wrapjax demo``: calibration of a virtual person, reports, and comparison with the true parameters.
 
-Methods that change polynomials and the diagnosis take most of the demo's time and are tested elsewhere: they
+Methods that change muscle paths and the diagnosis take most of the demo's time and are tested elsewhere: they
 are left out here except in one slow test.
 """
 
@@ -8,12 +8,13 @@ import json
 from functools import partial
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import wrapjax.cli.calibrate
 import wrapjax.demonstration.demo
 from tests.report.synthetic_diagnosis import named
-from wrapjax.calibration.calibration import Calibration
+from wrapjax.calibration.calibration import Calibration, calibrate
 from wrapjax.calibration.solvers.augmented_lagrangian import LagrangianState
 from wrapjax.calibration.solvers.interface import Iteration
 from wrapjax.cli.calibrate import iteration_log
@@ -21,6 +22,7 @@ from wrapjax.cli.command_line import main
 from wrapjax.datasets.virtual_person.hidden_effects import HIDDEN_EFFECTS
 from wrapjax.datasets.virtual_person.virtual_subject import Series, write_virtual_subject
 from wrapjax.demonstration.demo import EXCLUDED_EFFECTS, DiagnosisDemonstration, draw_effect
+from wrapjax.demonstration.wrap_recovery import WrapRecovery
 from wrapjax.path_sources.polynomial_fit import Fit
 
 #: Walking of the virtual person: a third of the cycles that a demonstration has.
@@ -35,6 +37,26 @@ def simulated_diagnosis(folder, hidden, **options):
     return answer
 
 
+def nga_for_pga():
+    """Make a function that calibrates by NGA, and returns that calibration where PGA is asked for."""
+    done = []
+
+    def either(subject, method, paths, **options):
+        if method == "NGA":
+            done[:] = [calibrate(subject, method, paths, **options)]
+        return done[0]
+
+    return either
+
+
+def without_wraps(calibration, true_parameters, noise):
+    """Return a recovery of one cylinder that stays where it is; the slow test has that of PGA."""
+    arms, cylinder = np.zeros((1, 1, 1, 1)), np.zeros((1, 6))
+    return WrapRecovery(
+        ("soleus_r",), ("knee_angle_r",), arms, arms, arms, np.ones((1, 1)), ("at",), cylinder, cylinder
+    )
+
+
 def interrupted_diagnosis(*arguments, **options):
     """Raise the interruption of a diagnosis."""
     raise KeyboardInterrupt
@@ -47,7 +69,7 @@ def without_motion(save):
 
 @pytest.fixture(scope="module")
 def interrupted(tmp_path_factory):
-    """Run a demo by NGA and PGA that is interrupted before its diagnosis, and resume it.
+    """Run a demo by NGA, which stands for PGA, too, that is interrupted before its diagnosis, and resume it.
 
     Returns the exit statuses of the first run, of one without ``--resume``, and of one with it; the numbers
     of iterations of the first and the last; and the folder.
@@ -71,6 +93,9 @@ def interrupted(tmp_path_factory):
         for kind in (Fit, Calibration):
             patch.setattr(kind, "save", without_motion(kind.save))
         patch.setattr(wrapjax.demonstration.demo, "_STARTS", {"NGA": 1, "PGA": 1})
+        patch.setattr(wrapjax.demonstration.demo, "calibrate", nga_for_pga())
+        patch.setattr(wrapjax.demonstration.demo, "exact_geometry", lambda subject: None)
+        patch.setattr(wrapjax.demonstration.demo, "wrap_recovery", without_wraps)
         patch.setattr(wrapjax.cli.calibrate, "iteration_printer", counting)
         patch.setattr(wrapjax.demonstration.demo, "demonstrate_diagnosis", interrupted_diagnosis)
         statuses = [main(words), main(words)]
@@ -81,7 +106,7 @@ def interrupted(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def shown(interrupted):
-    """Exit status and folder of a demo by NGA and PGA."""
+    """Exit status and folder of a demo by NGA."""
     statuses, _, folder = interrupted
     return statuses[-1], folder
 
@@ -104,7 +129,6 @@ def test_everything_is_written_and_converged(shown):
         "virtual_subject/truth.json",
         "fit/fit.json",
         "NGA/report.html",
-        "PGA/report.html",
         "index.html",
         *figures,
     ):
@@ -133,20 +157,6 @@ def test_calibration_reduces_the_error_of_emg_scales(shown):
     assert "not an accuracy" in content["note"]
 
 
-def test_true_and_calibrated_cylinders_and_moment_arms_are_reported(shown):
-    """Standard deviations due to noise are reported, so that unidentifiable arms do not look recovered."""
-    content = json.loads((shown[1] / "demo.json").read_text())
-    true_parameters = json.loads((shown[1] / "virtual_subject" / "truth.json").read_text())
-    found = content["wrap_recovery"]
-    assert {name: wrap["true"] for name, wrap in found["wraps"].items()} == true_parameters["wraps"]
-    assert all(wrap["found"] != wrap["true"] for wrap in found["wraps"].values())
-    errors = found["moment_arm_error"]["knee_angle_r"]
-    assert errors["before_m"] > 1e-4
-    assert errors["open_m"] > 1e-3 and errors["told_apart"] == 0
-    maes = {name: method["mae_calibration_Nm"] for name, method in content["methods"].items()}
-    assert maes["PGA"] < maes["NGA"]
-
-
 def test_the_seed_determines_the_simulated_effect(shown):
     content = json.loads((shown[1] / "demo.json").read_text())["gap"]
     assert content["hidden"] == draw_effect(3) and content["outcome"] == "named"
@@ -170,7 +180,15 @@ def test_all_four_methods_are_shown(tmp_path):
     assert errors["NGA"] > max(errors["SGA"], errors["LSGA"], errors["PGA"])
     for name in (*methods, "gap"):
         assert (tmp_path / "out" / name / "report.html").stat().st_size > 0
-    content = json.loads((tmp_path / "out" / "demo.json").read_text())["gap"]
+    content = json.loads((tmp_path / "out" / "demo.json").read_text())
+    # Standard deviations due to noise are reported, so that unidentifiable arms do not look recovered.
+    true_parameters = json.loads((tmp_path / "out" / "virtual_subject" / "truth.json").read_text())
+    found = content["wrap_recovery"]
+    assert {name: wrap["true"] for name, wrap in found["wraps"].items()} == true_parameters["wraps"]
+    assert all(wrap["found"] != wrap["true"] for wrap in found["wraps"].values())
+    errors = found["moment_arm_error"]["knee_angle_r"]
+    assert errors["before_m"] > 1e-4 and errors["open_m"] > 1e-3
+    content = content["gap"]
     assert content["hidden"] in HIDDEN_EFFECTS and content["right"] and "no accuracy" in content["note"]
     assert "same-form data" in (tmp_path / "out" / "gap" / "report.html").read_text()
     for file in (tmp_path / "out" / "hidden_effect").rglob("*.toml"):

@@ -53,7 +53,11 @@ def test_tables_equal_opensim_and_the_library(odd_model, poses_file, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("mode", "answer"), [("parity", "do not wrap there"), ("geodesic", "begins on the surface there")]
+    ("mode", "answer"),
+    [
+        ("parity", "do not wrap there"),
+        pytest.param("geodesic", "begins on the surface there", marks=pytest.mark.slow),
+    ],
 )
 def test_wraps_that_hold_a_path_point_are_named(odd_model, poses_file, tmp_path, mode, answer):
     """The ellipsoid's center is 5 mm from the insertion along its shortest semi-axis of 30 mm."""

@@ -14,7 +14,7 @@ from tests.subject.synthetic import write_subject
 from wrapjax.cli.command_line import main
 
 #: Starts enough that it is still at work when it is stopped.
-STARTS = "12"
+STARTS = "3"
 
 
 @pytest.fixture(scope="module")

@@ -98,8 +98,15 @@ def test_saving_again_is_refused(saved, done):
     with pytest.raises(InputError, match="exists already"):
         done.save(saved)
     assert (saved / "comparison.json").read_bytes() == before
-    done.save(saved, force=True)
-    assert (saved / "synthetic" / "NGA" / "report.html").is_file()
+
+
+@pytest.mark.slow
+def test_saving_again_by_force(done, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "old.txt").touch()
+    done.save(tmp_path / "out", force=True)
+    assert (tmp_path / "out" / "synthetic" / "NGA" / "report.html").is_file()
+    assert not (tmp_path / "out" / "old.txt").exists()
 
 
 def test_interrupted_and_resumed(wrapped, done, tmp_path):

@@ -20,7 +20,8 @@ from wrapjax.muscle.published_laws import PUBLISHED_LAWS, nearest_law
 NOISE = 1.0
 
 
-@pytest.mark.parametrize("true", [pytest.param("nmsm", marks=pytest.mark.slow), "thelen"])
+@pytest.mark.slow
+@pytest.mark.parametrize("true", ["nmsm", "thelen"])
 def test_the_law_of_the_person_has_more_evidence_than_laws_of_other_force(true):
     recording, context = small_recording_and_context()
     base = context.parameters

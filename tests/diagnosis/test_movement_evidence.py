@@ -172,6 +172,7 @@ def evidence(others, data):
     return of
 
 
+@pytest.mark.slow
 def test_a_squat_confirms_or_refutes_a_displaced_center_of_pressure(evidence):
     confirmed, refuted = evidence(OFFSET), evidence(-OFFSET)
     # Without signatures in the squat either sign would add the same.

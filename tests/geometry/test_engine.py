@@ -311,7 +311,9 @@ def test_unsupported_paths_are_named_in_errors(odd_model):
         ExactPaths(replace(model, muscles=muscles), ["flexor"], ("hip", "knee"))
 
 
-@pytest.mark.parametrize("wrapping", [GEODESIC, PARITY], ids=["geodesic", "parity"])
+@pytest.mark.parametrize(
+    "wrapping", [pytest.param(GEODESIC, marks=pytest.mark.slow), PARITY], ids=["geodesic", "parity"]
+)
 def test_an_inactive_point_on_another_body_changes_no_path(s1_left, wrapping):
     """A conditional point out of its range belongs to no segment, whatever body it is on."""
     model = describe_model(s1_left / "model.osim")

@@ -68,6 +68,7 @@ def test_paths_need_no_lapack(s1_left):
     assert not [name for name in LAPACK if f" {name}[" in program]
 
 
+@pytest.mark.slow
 def test_where_contacts_with_overlapping_surfaces_do_not_converge_a_path_is_not_regular(tmp_path):
     """Of all paths that count as regular, moment arms are -dL/dq."""
     surfaces = [
@@ -90,10 +91,11 @@ def test_where_contacts_with_overlapping_surfaces_do_not_converge_a_path_is_not_
     assert (difference[~regular] > 1e-3).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "sizes", "start", "limit"),
     [
-        pytest.param("ellipsoid", (0.03, 0.022, 0.026), (0.011, 0.016, 0.008), 1e-7, marks=pytest.mark.slow),
+        ("ellipsoid", (0.03, 0.022, 0.026), (0.011, 0.016, 0.008), 1e-7),
         ("torus", (0.02, 0.008), (0.016, 0.004, 0.003), 1e-6),
     ],
 )

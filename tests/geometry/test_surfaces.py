@@ -69,6 +69,7 @@ def test_parity_equals_opensim(name, tmp_path):
     np.testing.assert_allclose(found.moment_arm[known], arms[known], atol=300 * tolerance + 1e-11, rtol=0)
 
 
+@pytest.mark.slow
 def test_parity_round_several_kinds_equals_opensim(tmp_path):
     """OpenSim's sweeps, and its stale wrap points: lengths of a path round three surfaces."""
     surfaces = [

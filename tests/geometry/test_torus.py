@@ -15,6 +15,7 @@ from wrapjax.geometry.surfaces import torus
 from wrapjax.geometry.vectors import vector
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sizes", "start", "end"),
     [
@@ -148,6 +149,7 @@ def swept(ends, count):
     return np.array(ends) + np.outer(moves, [1.0, -1.0, 0.0, 0.0, 0.0, 0.0])
 
 
+@pytest.mark.slow
 def test_the_margin_through_a_torus_is_zero_where_the_path_takes_another_way():
     """The margin is the other way's extra length: PGA keeps from where moment arms jump."""
     contact = wide_tube_contacts(swept((-0.0592, 0.0327, 0.038, 0.0523, -0.0293, -0.0427), 81))

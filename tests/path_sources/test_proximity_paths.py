@@ -60,6 +60,7 @@ def test_proximity_combines_barriers_and_deviations_of_exact_paths(combined):
     assert not np.asarray(derivatives.length).any()
 
 
+@pytest.mark.slow
 def test_second_derivatives_equal_differences_of_first_ones(combined):
     """Gauss-Newton terms alone do not include deviations in several directions."""
     generator = np.random.default_rng(7)

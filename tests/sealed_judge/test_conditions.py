@@ -22,6 +22,7 @@ def pair(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_one_person_walks_in_both_conditions(pair):
     case = pair / "pairs" / "cases" / "case001"
     whole = pair / "walking" / "cases" / "case001"
@@ -37,6 +38,7 @@ def test_one_person_walks_in_both_conditions(pair):
     assert np.abs(moments[0] - moments[1]).max() < 0.15 * np.abs(subject.trials.moments).max()
 
 
+@pytest.mark.slow
 def test_units_of_emg_are_those_of_the_case(pair):
     """The largest envelope of the case is one, and the other condition's is near that."""
     case = pair / "pairs" / "cases" / "case001"
@@ -50,6 +52,7 @@ def test_units_of_emg_are_those_of_the_case(pair):
     assert (np.abs(np.log(largest["without"])) < np.log(2.5)).all()
 
 
+@pytest.mark.slow
 def test_the_manifest_lists_the_pairs(pair):
     manifest = json.loads((pair / "pairs" / "manifest.json").read_text())
     assert plan(1, SEED)[0]["tier"] == "single" and set(manifest["sha256"]) == {"case001"}

@@ -100,6 +100,7 @@ def test_the_drive_adapts_to_a_cause(session, effect, movement):
     assert np.abs(plain.drive - changed.drive).max() > 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "windows", "miss"), [("squats", 9, 6.0), ("running", 7, 25.0)])
 def test_the_folder_has_walking_and_the_movement_with_forces(tmp_path, walking, name, windows, miss):
     """The laboratory's moments are those of inverse dynamics of its files, by another program."""

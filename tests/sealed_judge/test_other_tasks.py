@@ -25,6 +25,7 @@ def banks(tmp_path_factory):
     return walking, tasks
 
 
+@pytest.mark.slow
 def test_walking_is_the_same(banks):
     walking, tasks = banks
     for file in (walking / "cases" / "case001" / "trials").rglob("*.*"):
@@ -33,6 +34,7 @@ def test_walking_is_the_same(banks):
     assert manifests[0]["case001"]["truth"] == manifests[1]["case001"]["truth"]
 
 
+@pytest.mark.slow
 def test_each_trial_is_read_with_its_task(banks):
     subject = load_subject(banks[1] / "cases" / "case001")
     tasks = {one.name: one.task for one in subject.recordings}
@@ -42,6 +44,7 @@ def test_each_trial_is_read_with_its_task(banks):
         assert np.isfinite(moments).any(axis=(0, 2)).sum() == 1
 
 
+@pytest.mark.slow
 def test_a_rotation_ends_where_the_joint_resists_and_a_ramp_pulls_in_its_direction(banks):
     case = banks[1] / "cases" / "case001"
     flexion = json.loads((banks[1] / "truth" / "case001.json").read_text())["side"]

@@ -173,6 +173,7 @@ def test_a_recording_of_several_trials_is_read_once_with_its_cycles_in_time(data
     assert one.order_at(np.array([0.0, np.mean(one.cycles[3]), 99.0])) == pytest.approx([0.0, 0.3, 1.0])
 
 
+@pytest.mark.slow
 def test_moved_pressure_changes_moments_by_the_lever_of_the_force(data_folder, tmp_path):
     """The moment of the vertical force about the ankle, by its displacement: by hand, within 10 %."""
     source, meters = data_folder / "healthy_running", 0.02

@@ -52,6 +52,7 @@ def library(who, oracle):
     return Library(tuple((e.id, v) for e, v in entries), signals, np.tile(reach, (3, 1)))
 
 
+@pytest.mark.slow
 def test_a_person_walks_once_more_with_the_same_muscles_and_habits(who):
     """For pairs of conditions: other cycles, and nothing else."""
     again = draw_person("somebody", (5, 0, 1), WORLDS["thelen"], paretic=True, session=(5, 5, 1))
