@@ -103,6 +103,7 @@ def test_slsqp_reaches_no_lower_cost_and_the_same_active_limits(problem, solutio
     np.testing.assert_array_equal(ours_at_bounds, theirs_at_bounds)
 
 
+@pytest.mark.slow
 def test_trust_constr_agrees_for_free_paths_alone(problem, solution):
     """With all other variables held at the solution, the limits are linear."""
     few = np.flatnonzero(["path_changes" in label for label in problem.variables.labels])

@@ -34,6 +34,7 @@ def gap(calibrated):
     return diagnose_calibrated(calibrated, without=WITHOUT, null_replicates=2).result
 
 
+@pytest.mark.slow
 def test_too_few_cycles_end_the_diagnosis(gap):
     """Of three cycles one is for validation."""
     assert gap.outcome == "insufficient_data" and not gap.named and not gap.effects
@@ -41,6 +42,7 @@ def test_too_few_cycles_end_the_diagnosis(gap):
     assert np.isfinite(gap.plain).all() and gap.unknown_probability == 1.0
 
 
+@pytest.mark.slow
 def test_nuisances_are_not_listed_among_what_is_not_testable(gap):
     assert {entry.id for entry in gap.not_testable} == {"cop_offset"}
 

@@ -73,7 +73,15 @@ def test_zero_is_the_plain_model_to_the_last_bit(effect, plain):
         np.testing.assert_array_equal(found, plain)
 
 
-@pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.id)
+@pytest.mark.parametrize(
+    "effect",
+    [
+        # Equilibria of tendons take long to compile; `tests/muscle` has their derivatives.
+        pytest.param(effect, marks=[pytest.mark.slow] if effect.id == "tendon_compliance" else [])
+        for effect in EFFECTS
+    ],
+    ids=lambda effect: effect.id,
+)
 def test_derivatives_agree_with_finite_differences(effect, slopes):
     """One direction through all parameters of an effect, with every other effect at zero."""
     places = places_of(effect.id)

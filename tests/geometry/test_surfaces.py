@@ -191,6 +191,7 @@ def around_origin(count, reach, seed):
     return np.concatenate([start, end], axis=1) * np.tile(reach, 2) * generator.uniform(1.1, 3.0, (count, 1))
 
 
+@pytest.mark.slow
 def test_an_ellipsoid_with_equal_axes_is_a_sphere():
     ends = around_origin(100, np.full(3, 0.03), 3)
     crossing, total, *_ = round_ellipsoid(ends, np.full((100, 3), 0.03))

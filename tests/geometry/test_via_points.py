@@ -65,8 +65,8 @@ def write_muscles(kind: str, quadrant: str, file: Path) -> None:
         ("Sphere", "-y"),
         ("Cylinder", "all"),
         ("Cylinder", "x"),
-        ("Ellipsoid", "all"),
-        ("Torus", "all"),
+        pytest.param("Ellipsoid", "all", marks=pytest.mark.slow),
+        pytest.param("Torus", "all", marks=pytest.mark.slow),
     ],
 )
 def test_the_segment_that_wraps_is_opensims(tmp_path, kind, quadrant):

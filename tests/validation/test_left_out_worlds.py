@@ -40,6 +40,7 @@ def cases():
     return found
 
 
+@pytest.mark.slow
 def test_constants_come_from_the_other_worlds(cases):
     start = DecisionConstants.shipped()
     before = decide_by_world(cases, start)

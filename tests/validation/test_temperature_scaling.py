@@ -86,6 +86,7 @@ def test_one_in_twenty_without_effect_leaves_more_than_is_allowed(cases):
         assert (stated.unknown > stated.none) == inadequate
 
 
+@pytest.mark.slow
 def test_threshold_is_that_of_the_worst_family(cases):
     """Check that larger null evidence in one family determines the threshold."""
     families = [

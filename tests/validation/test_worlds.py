@@ -142,7 +142,7 @@ def test_impossible_banks_are_refused(arguments, tmp_path, capsys):
     assert "worlds" in capsys.readouterr().err and not (tmp_path / "bank").exists()
 
 
-_QUICK = ("knee_and_ankle_emg", "gross_misfit")
+_QUICK = ("gross_misfit",)
 
 
 @pytest.mark.parametrize(
