@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "wrapjax"
 
-#: What each room may import of ours; a room is a folder of the package, or a module beside the folders.
+#: What each part may import of ours; a part is a folder of the package, or a module beside the folders.
 #: In this order nothing imports what comes later, but for results that write themselves (`LATE`).
 ARROWS: dict[str, set[str]] = {
     "errors": set(),
@@ -118,7 +118,7 @@ ARROWS: dict[str, set[str]] = {
     "api": {"__init__"},
 }
 
-#: Folder of `geometry` that describes a model's bodies and joints by NumPy alone: a room of its own.
+#: Folder of `geometry` that describes a model's bodies and joints by NumPy alone: a part of its own.
 SKELETON = "skeleton"
 
 #: Packages of others that only these folders may import, inside functions.
@@ -139,7 +139,7 @@ LAZY_PACKAGES: dict[str, set[str]] = {
     "markupsafe": {"report"},
 }
 
-#: Rooms that must do without JAX, so that a folder can be checked before it is loaded.
+#: Parts that must do without JAX, so that a folder can be checked before it is loaded.
 WITHOUT_JAX = {
     *("errors", "progress", "renamed", "io", "jax_setup", "subject", "skeleton", "osim", "cli", "api"),
     *("__init__", "__main__"),
@@ -161,21 +161,21 @@ class Import:
         return self.target.split(".")[0] == "wrapjax"
 
     @property
-    def room(self) -> str:
-        return _room(self.module.partition(".")[2])
+    def part(self) -> str:
+        return _part(self.module.partition(".")[2])
 
     @property
-    def target_room(self) -> str:
-        return _room(self.target.partition(".")[2])
+    def target_part(self) -> str:
+        return _part(self.target.partition(".")[2])
 
     @property
     def light(self) -> bool:
         """Whether a command may import its target before it knows that there is work to do."""
-        return self.target_room in WITHOUT_JAX or self.target == "wrapjax.evaluation.metrics"
+        return self.target_part in WITHOUT_JAX or self.target == "wrapjax.evaluation.metrics"
 
 
-def _room(module: str) -> str:
-    """Name the room that a module is in, by its dotted name without the package's."""
+def _part(module: str) -> str:
+    """Name the part that a module is in, by its dotted name without the package's."""
     parts = (module or "__init__").split(".")
     if parts[0] == "geometry" and len(parts) > 1 and parts[1] == SKELETON:
         return "skeleton"
@@ -227,19 +227,19 @@ def imports() -> list[Import]:
 
 @pytest.fixture(scope="module")
 def own_imports(imports) -> list[Import]:
-    """Imports of ours between rooms."""
-    return [entry for entry in imports if entry.ours and entry.room != entry.target_room]
+    """Imports of ours between parts."""
+    return [entry for entry in imports if entry.ours and entry.part != entry.target_part]
 
 
-def test_every_room_has_a_row_in_the_table():
-    assert {_room(module.partition(".")[2]) for module in MODULES} == set(ARROWS)
+def test_every_part_has_a_row_in_the_table():
+    assert {_part(module.partition(".")[2]) for module in MODULES} == set(ARROWS)
 
 
 def test_arrows_go_one_way(own_imports):
     wrong = [
         f"{entry.place}: {entry.target}"
         for entry in own_imports
-        if entry.target_room not in ARROWS[entry.room] and not (entry.lazy and entry.target_room == "report")
+        if entry.target_part not in ARROWS[entry.part] and not (entry.lazy and entry.target_part == "report")
     ]
     assert wrong == []
 
@@ -249,18 +249,18 @@ def test_what_takes_long_to_import_is_imported_late(own_imports):
         f"{entry.place}: {entry.target}"
         for entry in own_imports
         if not entry.lazy
-        and entry.room not in ("api", "__main__")
-        and (entry.target_room == "report" or (entry.room == "cli" and not entry.light))
+        and entry.part not in ("api", "__main__")
+        and (entry.target_part == "report" or (entry.part == "cli" and not entry.light))
     ]
     assert wrong == []
 
 
-def test_rooms_form_no_cycle(own_imports):
+def test_parts_form_no_cycle(own_imports):
     """Only results that write their own reports point up, by imports inside their methods."""
     graph: dict[str, set[str]] = {}
     for entry in own_imports:
-        if entry.target_room != "report" or entry.room in ("demonstration", "cli"):
-            graph.setdefault(entry.room, set()).add(entry.target_room)
+        if entry.target_part != "report" or entry.part in ("demonstration", "cli"):
+            graph.setdefault(entry.part, set()).add(entry.target_part)
     TopologicalSorter(graph).prepare()  # raises CycleError
 
 
@@ -298,7 +298,7 @@ def test_slow_packages_have_one_home_and_are_imported_late(imports):
         f"{entry.place}: {entry.target}"
         for entry in imports
         if (package := entry.target.split(".")[0]) in LAZY_PACKAGES
-        and not (entry.lazy and entry.room in LAZY_PACKAGES[package])
+        and not (entry.lazy and entry.part in LAZY_PACKAGES[package])
     ]
     assert wrong == []
 
@@ -307,10 +307,10 @@ def test_reading_and_opensim_do_without_jax(imports):
     wrong = [
         f"{entry.place}: {entry.target}"
         for entry in imports
-        if entry.room in WITHOUT_JAX
+        if entry.part in WITHOUT_JAX
         and entry.target.split(".")[0] in JAX_PACKAGES
         # The command line sets JAX up once threads are set.
-        and not (entry.room in ("cli", "jax_setup") and entry.lazy)
+        and not (entry.part in ("cli", "jax_setup") and entry.lazy)
     ]
     assert wrong == []
 

@@ -59,7 +59,7 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="SUBJECT|MODEL|GAP",
         help="subject folder, with all its tasks; OpenSim model (.osim), with an electrode on every group of "
-        "muscles; or folder from 'diagnose', whose undecided effects are to be told apart",
+        "muscles; or folder from 'diagnose', whose undecided effects are to be distinguished",
     )
     protocol.add_argument("--out", type=Path, metavar="DIR", help="also write protocol.json and report.html")
     protocol.add_argument(

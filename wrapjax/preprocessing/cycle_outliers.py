@@ -11,7 +11,7 @@ from wrapjax.preprocessing.force_plates import SIDES, FootForces, centers_of_pre
 
 #: Largest distance of a cycle from the median of all, in robust standard deviations.
 MOST_DEVIATIONS = 5.0
-#: Fewest cycles of which outliers can be told.
+#: Fewest cycles among which outliers can be found.
 MIN_CYCLES = 5
 #: Factor that makes the median absolute deviation a standard deviation, for a normal distribution.
 _NORMAL = 1.4826

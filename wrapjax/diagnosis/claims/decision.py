@@ -25,7 +25,7 @@ from wrapjax.diagnosis.fits.refit import Ids
 from wrapjax.diagnosis.fits.verification import Verification
 from wrapjax.diagnosis.inputs.input import DiagnosisInput
 
-#: Squared distance, in squared standard deviations, below which two effects cannot be told apart.
+#: Squared distance, in squared standard deviations, below which two effects cannot be distinguished.
 TIE_DISTANCE = 9.0
 #: Largest difference of evidence (nats) between the strongest effect and the other members of its tie.
 TIE_EVIDENCE = 5.0
@@ -304,7 +304,7 @@ def tied_effects(
     distances: Float[np.ndarray, "effect effect"],
     evidence: Mapping[str, float],
 ) -> tuple[str, ...]:
-    """Select the effects that form a tie with the strongest: no two members can be told apart.
+    """Select the effects that form a tie with the strongest: no two members can be distinguished.
 
     Parameters
     ----------
@@ -387,7 +387,7 @@ def decide_on_single_effect(
     probability, evidence
         Probabilities, and evidence of each effect, nats.
     tie
-        The strongest effect and those that cannot be told from it.
+        The strongest effect and those that cannot be distinguished from it.
     detection_threshold
         Evidence that has to be exceeded, nats.
     negative_controls

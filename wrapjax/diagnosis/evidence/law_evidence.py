@@ -45,7 +45,7 @@ def law_evidence(
     Returns
     -------
     dict
-        Evidence by the name of the law; positive where the recording speaks for it.
+        Evidence by the name of the law; positive where the recording supports it.
     """
     free = law.free.variables
     places = [free.labels.index(f"{LAW_OWNER}.{name}") for name in LAW_NAMES]

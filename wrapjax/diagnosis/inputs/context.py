@@ -187,8 +187,8 @@ class Context:
         """Cycles of each recording, and of each walking speed of several recordings, by a label.
 
         The labels are those of all cycles (`reference`). A condition has several calibration cycles, as an
-        error in a single one cannot be told from noise. Empty where these were all recorded under one
-        condition.
+        error in a single one cannot be distinguished from noise. Empty where these were all recorded under
+        one condition.
         """
         every = self.reference
         calibrating = np.array([use == "calibration" for use in every.uses]) & every.is_gait

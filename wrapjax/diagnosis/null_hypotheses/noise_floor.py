@@ -346,7 +346,7 @@ def _ratio(numerator: Means, denominator: Means, speeds: Int[np.ndarray, " cycle
     freedom = max(len(speeds) - len(np.unique(speeds)), 1)
     wider = stats.t.ppf(0.975, freedom) / stats.norm.ppf(0.975) * np.sqrt(len(speeds) / freedom)
     if denominator[0] - wider * (denominator[0] - np.quantile(denominator[1:], 0.025)) <= 0.0:
-        return Estimate.unknown("the error cannot be told from noise on these cycles")
+        return Estimate.unknown("the error cannot be distinguished from noise on these cycles")
     value = float(numerator[0] / denominator[0])
     ratios = numerator[1:] / denominator[1:]
     low, high = (value + wider * (np.quantile(ratios, at) - value) for at in (0.025, 0.975))

@@ -86,7 +86,7 @@ class Design:
 
 @dataclass(frozen=True)
 class Detection:
-    """How well effects of their prior size can be seen and told apart.
+    """How well effects of their prior size can be detected and distinguished.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ class Detection:
 def detection(
     information: Float[np.ndarray, "column column"], candidates: Sequence[Candidate], *, pairs: bool = True
 ) -> Detection:
-    """Compute how well effects can be seen and told apart.
+    """Compute how well effects can be detected and distinguished.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def information_gain(
     Parameters
     ----------
     detected
-        How well the effects can be seen and told apart.
+        How well the effects can be detected and distinguished.
     weights
         Probability of each effect, of those that are undecided.
     rivals

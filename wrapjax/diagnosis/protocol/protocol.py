@@ -333,7 +333,7 @@ def _split(
     after: Detection,
     weights: Float[np.ndarray, " effect"],
 ) -> tuple[tuple[str, str], ...]:
-    """List pairs that cannot be told apart before and can after, the most undecided first."""
+    """List pairs that cannot be distinguished before and can after, the most undecided first."""
     least = np.maximum(after.apart, after.apart.T)
     split = before.tied(TIE_DISTANCE, MIN_DETECTABILITY) & (least >= TIE_DISTANCE)
     split &= (weights > 0.0)[:, None] & (weights > 0.0)[None]

@@ -26,9 +26,9 @@ class AdvisedTrial:
         Expected log Bayes factor of an undecided effect of its prior size, with this trial and those before
         it: the median over effects, weighted by their probability, nats.
     detected
-        How well effects can be seen and told apart with it and those before it.
+        How well effects can be detected and distinguished with it and those before it.
     splits
-        Pairs of effects that cannot be told apart before it and can with it.
+        Pairs of effects that cannot be distinguished before it and can with it.
     """
 
     trial: CandidateTrial
@@ -69,7 +69,7 @@ class ProtocolResult:
     weights
         How undecided each effect is; sums to one.
     before
-        How well effects can be seen and told apart without further trials.
+        How well effects can be detected and distinguished without further trials.
     expected_before
         As `AdvisedTrial.expected_evidence`, without further trials.
     advised
@@ -92,5 +92,5 @@ class ProtocolResult:
 
     @property
     def after(self) -> Detection:
-        """How well effects can be seen and told apart with all advised trials."""
+        """How well effects can be detected and distinguished with all advised trials."""
         return self.advised[-1].detected if self.advised else self.before

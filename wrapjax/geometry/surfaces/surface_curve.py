@@ -7,10 +7,10 @@ outside the surface, if that is convex near it. A damped Newton method minimises
 straight lines and the curve, by Gauss-Legendre quadrature, over the variables of both ends and the
 polynomial's coefficients. At the minimum the straight lines continue the curve, which is a geodesic, up to
 errors of the polynomial of which the length is independent to first order. Unlike the roots of conditions of
-tangency alone, minima are told from other stationary paths, by the second derivatives. Of the paths of the
-family some have a minimal length although a straight line does not continue the curve, as a ray that is
-reflected; they are told from shortest paths by the slopes of length by the path's ends, which are not the
-lines' directions then.
+tangency alone, minima are distinguished from other stationary paths, by the second derivatives. Of the paths
+of the family some have a minimal length although a straight line does not continue the curve, as a ray that
+is reflected; they are distinguished from shortest paths by the slopes of length by the path's ends, which are
+not the lines' directions then.
 """
 
 from __future__ import annotations

@@ -228,8 +228,8 @@ def _muscle_law_section(result: DiagnosisResult) -> str:
         "Muscle law of the person",
         markup.paragraph(
             "The curves and activation dynamics of all muscles were fitted to this person within a "
-            "continuous family of laws. Evidence for a published law is positive where the recording speaks "
-            "for it against the whole family. Values far below zero are approximate, as the model is "
+            "continuous family of laws. Evidence for a published law is positive where the recording "
+            "supports it against the whole family. Values far below zero are approximate, as the model is "
             "linearised about the law that was found. The comparison is that of the plain model: an "
             "effect that is present can distort it."
         ),

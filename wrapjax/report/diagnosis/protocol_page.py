@@ -51,7 +51,7 @@ def protocol_findings(protocol: ProtocolResult) -> list[str]:
 
 
 def protocol_rows(protocol: ProtocolResult) -> list[tuple[str, ...]]:
-    """Tabulate the advised trials: what, posture, effort, minutes, nats, d', pairs told apart."""
+    """Tabulate the advised trials: what, posture, effort, minutes, nats, d', pairs distinguished."""
     rows: list[tuple[str, ...]] = []
     for number, one in enumerate(protocol.advised, start=1):
         pairs = [f"{first} / {second}" for first, second in one.splits[:_MOST_PAIRS]]
@@ -95,8 +95,8 @@ def describe_protocol(protocol: ProtocolResult) -> dict[str, Any]:
     dict
         ``trials``: the advised ones in their order, each with ``information_nats`` that it adds to the ones
         before, ``expected_evidence_nats`` (median over the undecided effects), detectability d' of each
-        effect with it and those before it, and ``splits``, pairs told apart; ``considered``, all trials with
-        what each adds alone; ``effects`` with d' before and after.
+        effect with it and those before it, and ``splits``, pairs distinguished; ``considered``, all trials
+        with what each adds alone; ``effects`` with d' before and after.
     """
     ids = protocol.effects
     return {
@@ -190,7 +190,7 @@ def render_protocol(protocol: ProtocolResult) -> str:
                     caption="Each trial is the best after the ones before it. It adds information (nats) on "
                     "which effect is present, and how large; the expected evidence is the median over the "
                     "undecided effects of the expected log Bayes factor of an effect of its prior size. Two "
-                    f"effects are told apart where they are {np.sqrt(TIE_DISTANCE):g} standard deviations "
+                    f"effects are distinguished where they are {np.sqrt(TIE_DISTANCE):g} standard deviations "
                     "from each other in either direction.",
                 ),
             ),
