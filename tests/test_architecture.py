@@ -333,7 +333,7 @@ SLOW = {
         ("wrapjax", SLOW | {"jax"}),
         ("wrapjax.cli.command_line", SLOW | {"jax"}),
         ("wrapjax.subject.subject", SLOW | {"jax"}),
-        ("wrapjax.preprocessing.consistency_checks", SLOW | {"jax"}),
+        ("wrapjax.preprocessing.checks.consistency_checks", SLOW | {"jax"}),
         ("wrapjax.calibration.calibration", SLOW),
     ],
 )

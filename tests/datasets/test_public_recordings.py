@@ -10,8 +10,8 @@ from wrapjax.datasets.public_recordings import PUBLIC_RECORDINGS, RETRIES, write
 from wrapjax.errors import InputError
 from wrapjax.io.model_file import read_model_file
 from wrapjax.io.storage import read_storage
-from wrapjax.preprocessing.joint_angles import Motion, find_coupled_coordinates, read_motion
-from wrapjax.preprocessing.markers import low_pass
+from wrapjax.preprocessing.files.joint_angles import Motion, find_coupled_coordinates, read_motion
+from wrapjax.preprocessing.files.markers import low_pass
 from wrapjax.subject.external_loads import read_ground_loads
 from wrapjax.subject.subject import load_subject
 

@@ -11,7 +11,7 @@ from wrapjax.joints.changed_skeleton import skeleton_change
 from wrapjax.joints.freed_parameters import FreedParameter, PriorWidths, frame_parameters
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.personalised_joints import JointChanges, write_model_with_joints
-from wrapjax.preprocessing.markers import Markers, write_trc
+from wrapjax.preprocessing.files.markers import Markers, write_trc
 
 #: Joints that differ, and their frames' freed axes.
 JOINTS = ("hip_r", "knee_r", "ankle_r")

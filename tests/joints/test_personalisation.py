@@ -15,7 +15,7 @@ from wrapjax.joints.nmsm_settings import read_nmsm_settings
 from wrapjax.joints.personalisation import personalize_joints
 from wrapjax.joints.settings import JointSettings, MarkerTrial, read_joint_settings
 from wrapjax.osim.model import describe_model
-from wrapjax.preprocessing.markers import write_trc
+from wrapjax.preprocessing.files.markers import write_trc
 from wrapjax.subject.joint_spread import read_joint_spread
 
 

@@ -13,7 +13,7 @@ from wrapjax.joints.personalisation import personalize_joints
 from wrapjax.joints.problem import prepare_problem
 from wrapjax.joints.settings import JointSettings, MarkerTrial
 from wrapjax.joints.skin import angle_features, drift_functions
-from wrapjax.preprocessing.markers import write_trc
+from wrapjax.preprocessing.files.markers import write_trc
 
 
 @pytest.fixture(scope="module")

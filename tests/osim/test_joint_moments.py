@@ -8,7 +8,7 @@ from wrapjax.io.model_file import read_model_file
 from wrapjax.io.storage import read_storage
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.tools import solve_inverse_dynamics, solve_inverse_kinematics
-from wrapjax.preprocessing.joint_angles import find_coupled_coordinates, read_motion
+from wrapjax.preprocessing.files.joint_angles import find_coupled_coordinates, read_motion
 
 #: Hip, knee and ankle of both legs.
 JOINTS = tuple(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from wrapjax.osim.body_frames import pose_bodies
-from wrapjax.preprocessing.markers import Markers
+from wrapjax.preprocessing.files.markers import Markers
 
 #: Frames per second, and seconds of motion.
 RATE, SECONDS = 50.0, 1.6

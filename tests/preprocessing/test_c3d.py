@@ -9,9 +9,9 @@ import pytest
 from tests.preprocessing import c3d_file
 from tests.preprocessing.c3d_file import FRAMES, PLACES, RATE, RATIO
 from wrapjax.errors import InputError
-from wrapjax.preprocessing.c3d import _wrench, read_c3d_analog, read_c3d_markers, read_plates
-from wrapjax.preprocessing.force_plates import ForceColumns, centers_of_pressure
-from wrapjax.preprocessing.laboratory_settings import laboratory_rotation
+from wrapjax.preprocessing.files.c3d import _wrench, read_c3d_analog, read_c3d_markers, read_plates
+from wrapjax.preprocessing.files.laboratory_settings import laboratory_rotation
+from wrapjax.preprocessing.gait.force_plates import ForceColumns, centers_of_pressure
 
 
 @pytest.fixture(scope="module", params=["1", "-1"], ids=["pushes", "pulls"])

@@ -4,13 +4,13 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wrapjax.preprocessing.cycle_outliers import (
+from wrapjax.preprocessing.gait.cycle_outliers import (
     dropped_sentences,
     steps_of_other_foot,
     unusual_durations,
     unusual_moments,
 )
-from wrapjax.preprocessing.force_plates import FootForces
+from wrapjax.preprocessing.gait.force_plates import FootForces
 
 
 def cycles_of(durations):

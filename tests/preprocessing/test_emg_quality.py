@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.preprocessing.synthetic_emg import NAMES, RATE, raw_emg
-from wrapjax.preprocessing.emg_quality import emg_faults
+from wrapjax.preprocessing.checks.emg_quality import emg_faults
 from wrapjax.subject.emg_envelopes import compute_envelopes
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wrapjax.preprocessing.flight_steps import (
+from wrapjax.preprocessing.gait.flight_steps import (
     assign_steps,
     find_flight_contacts,
     flight_cycles,
@@ -11,7 +11,7 @@ from wrapjax.preprocessing.flight_steps import (
     is_flight,
     stride_time,
 )
-from wrapjax.preprocessing.force_plates import FootForces
+from wrapjax.preprocessing.gait.force_plates import FootForces
 
 #: Duration of a stance and of a flight, s.
 STANCE, FLIGHT = 0.26, 0.12

@@ -5,14 +5,14 @@ import pytest
 
 from wrapjax.errors import InputError
 from wrapjax.io.storage import Storage, write_storage
-from wrapjax.preprocessing.force_plates import (
+from wrapjax.preprocessing.files.laboratory_settings import laboratory_rotation
+from wrapjax.preprocessing.files.markers import low_pass
+from wrapjax.preprocessing.gait.force_plates import (
     ForceColumns,
     centers_of_pressure,
     read_force_columns,
     write_forces,
 )
-from wrapjax.preprocessing.laboratory_settings import laboratory_rotation
-from wrapjax.preprocessing.markers import low_pass
 from wrapjax.subject.external_loads import read_external_loads
 
 TIME = np.arange(1000) / 1000.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wrapjax.io.storage import read_storage
-from wrapjax.preprocessing.gait_events import (
+from wrapjax.preprocessing.gait.gait_events import (
     AT_STRIKE,
     find_contacts,
     gait_phases,

@@ -14,9 +14,9 @@ from wrapjax.geometry.inverse_kinematics import MarkerGoals, expand
 from wrapjax.geometry.marker_model import build_marker_model
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.tools import solve_inverse_kinematics
+from wrapjax.preprocessing.files.kinematics_settings import CoordinateGoal, read_kinematics_settings
+from wrapjax.preprocessing.files.markers import write_trc
 from wrapjax.preprocessing.inverse_kinematics import free_coordinates, inverse_kinematics
-from wrapjax.preprocessing.kinematics_settings import CoordinateGoal, read_kinematics_settings
-from wrapjax.preprocessing.markers import write_trc
 
 
 @pytest.fixture(scope="module")

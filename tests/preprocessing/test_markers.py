@@ -6,7 +6,7 @@ import pytest
 
 from tests.preprocessing.walker import write_trc as write_as_camera_software
 from wrapjax.errors import InputError
-from wrapjax.preprocessing.markers import Markers, match_markers, read_trc, write_trc
+from wrapjax.preprocessing.files.markers import Markers, match_markers, read_trc, write_trc
 
 TIME = np.arange(120) / 100.0
 NAMES = ("HEEL", "TOE", "KNEE")

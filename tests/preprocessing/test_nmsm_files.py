@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wrapjax.errors import InputError
-from wrapjax.preprocessing.nmsm_files import OSIMX_QUANTITIES, OsimxMuscle, format_osimx, read_osimx
+from wrapjax.preprocessing.nmsm.files import OSIMX_QUANTITIES, OsimxMuscle, format_osimx, read_osimx
 
 VALUES = st.dictionaries(st.sampled_from(list(OSIMX_QUANTITIES)), st.floats(1e-4, 1e4))
 

@@ -14,7 +14,7 @@ from wrapjax.errors import InputError
 from wrapjax.io.model_file import read_model_file
 from wrapjax.io.storage import Storage, read_storage, write_storage
 from wrapjax.path_sources.undriven_muscles import apply_undriven_strategy
-from wrapjax.preprocessing.nmsm_project import FOLDERS, read_project
+from wrapjax.preprocessing.nmsm.project import FOLDERS, read_project
 from wrapjax.preprocessing.preparation import prepare_subject
 from wrapjax.subject.subject import load_subject
 

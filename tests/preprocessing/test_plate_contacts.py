@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from wrapjax.preprocessing.consistency_checks import check_foot_on_plates, check_forces_against_motion
-from wrapjax.preprocessing.force_plates import FootForces, all_contact_measured, find_plate_contacts
+from wrapjax.preprocessing.checks.consistency_checks import check_foot_on_plates, check_forces_against_motion
+from wrapjax.preprocessing.gait.force_plates import FootForces, all_contact_measured, find_plate_contacts
 
 #: Gait period and stance, s; double support lasts 0.15 s.
 PERIOD, STANCE = 1.1, 0.7

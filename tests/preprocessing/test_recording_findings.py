@@ -11,8 +11,8 @@ from tests.subject.task_folders import ISOMETRIC, SQUAT, add_trial
 from wrapjax.cli.command_line import main
 from wrapjax.io.storage import Storage, read_storage, write_storage
 from wrapjax.path_sources.moment_capacity import unrecorded_capacity
-from wrapjax.preprocessing import recording_findings as recording_findings_module
-from wrapjax.preprocessing.recording_findings import recording_findings
+from wrapjax.preprocessing.checks import recording_findings as recording_findings_module
+from wrapjax.preprocessing.checks.recording_findings import recording_findings
 from wrapjax.report.check_page import finding_figure
 from wrapjax.report.style import VERMILION
 from wrapjax.subject.subject import load_subject

@@ -14,7 +14,7 @@ from wrapjax import InputError
 from wrapjax.io.storage import read_storage
 from wrapjax.model.freedom import FreedPaths
 from wrapjax.model.parameters import QUANTITIES
-from wrapjax.preprocessing.nmsm_files import OSIMX_QUANTITIES, read_osimx
+from wrapjax.preprocessing.nmsm.files import OSIMX_QUANTITIES, read_osimx
 from wrapjax.report.calibration import run_page
 from wrapjax.report.calibration.run_page import write_run
 

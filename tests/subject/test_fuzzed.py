@@ -23,10 +23,10 @@ from wrapjax.io.storage import read_storage
 from wrapjax.io.xml import MAX_BYTES, MAX_NESTING
 from wrapjax.joints.nmsm_settings import read_nmsm_settings
 from wrapjax.joints.settings import read_joint_settings
-from wrapjax.preprocessing.c3d import read_c3d_markers
-from wrapjax.preprocessing.laboratory_settings import read_laboratory_settings
-from wrapjax.preprocessing.markers import read_trc
-from wrapjax.preprocessing.nmsm_files import read_osimx, read_tool_settings
+from wrapjax.preprocessing.files.c3d import read_c3d_markers
+from wrapjax.preprocessing.files.laboratory_settings import read_laboratory_settings
+from wrapjax.preprocessing.files.markers import read_trc
+from wrapjax.preprocessing.nmsm.files import read_osimx, read_tool_settings
 from wrapjax.subject.external_loads import read_external_loads
 from wrapjax.subject.joint_spread import read_joint_spread
 from wrapjax.subject.muscle_parameters import read_muscle_parameters

@@ -162,14 +162,14 @@ def _bone(path: Path) -> None:
 
 
 def _osimx(path: Path) -> None:
-    from wrapjax.preprocessing.nmsm_files import read_osimx
+    from wrapjax.preprocessing.nmsm.files import read_osimx
 
     for muscle in read_osimx(path):
         _finite(np.array(list(muscle.values.values())))
 
 
 def _trc(path: Path) -> None:
-    from wrapjax.preprocessing.markers import read_trc
+    from wrapjax.preprocessing.files.markers import read_trc
 
     markers = read_trc(path)
     _finite(markers.time)
@@ -178,8 +178,8 @@ def _trc(path: Path) -> None:
 
 def _c3d(finished: Path, place: Path) -> Prepared:
     from tests.preprocessing import c3d_file
-    from wrapjax.preprocessing.c3d import read_c3d_analog, read_c3d_markers, read_plates
-    from wrapjax.preprocessing.force_plates import ForceColumns
+    from wrapjax.preprocessing.files.c3d import read_c3d_analog, read_c3d_markers, read_plates
+    from wrapjax.preprocessing.gait.force_plates import ForceColumns
 
     valid, file = place / "valid.c3d", place / "input.c3d"
     c3d_file.write(str(valid), 1.0, "mm")
@@ -193,14 +193,14 @@ def _c3d(finished: Path, place: Path) -> Prepared:
 
 
 def _project(finished: Path, place: Path) -> Prepared:
-    from wrapjax.preprocessing.nmsm_project import read_project
+    from wrapjax.preprocessing.nmsm.project import read_project
 
     file = seeds.nmsm_project(place / "project") / "settings.xml"
     return Prepared(file, (seeds.PROJECT,), lambda: read_project(file))
 
 
 def _laboratory(finished: Path, place: Path) -> Prepared:
-    from wrapjax.preprocessing.laboratory_settings import read_laboratory_settings
+    from wrapjax.preprocessing.files.laboratory_settings import read_laboratory_settings
 
     file = seeds.laboratory(place / "laboratory") / "prepare.toml"
     return Prepared(file, (seeds.LABORATORY,), lambda: read_laboratory_settings(file))

@@ -22,8 +22,8 @@ from wrapjax.joints.settings import JointSettings, MarkerTrial
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.personalised_joints import JointChanges, write_model_with_joints
 from wrapjax.osim.tools import solve_inverse_kinematics
+from wrapjax.preprocessing.files.markers import match_markers, write_trc
 from wrapjax.preprocessing.inverse_kinematics import read_marker_file, solve
-from wrapjax.preprocessing.markers import match_markers, write_trc
 
 #: Aims: degrees for determined coordinates, share of the root mean square, ratio of frames a second.
 MAX_DEGREES, MAX_SHARE, MIN_SPEED = 0.01, 1e-3, 50.0

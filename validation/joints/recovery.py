@@ -44,7 +44,7 @@ from wrapjax.joints.settings import JointSettings, MarkerTrial
 from wrapjax.osim.body_frames import pose_bodies
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.personalised_joints import JointChanges, write_model_with_joints
-from wrapjax.preprocessing.markers import Markers, write_trc
+from wrapjax.preprocessing.files.markers import Markers, write_trc
 
 JOINTS = ("hip_r", "knee_r", "ankle_r")
 HINGES = ("knee_r", "ankle_r")

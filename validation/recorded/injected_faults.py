@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from wrapjax.io.storage import find_columns, read_storage, write_storage
-from wrapjax.preprocessing.recording_findings import Finding, recording_findings
+from wrapjax.preprocessing.checks.recording_findings import Finding, recording_findings
 from wrapjax.subject.subject import load_subject
 
 #: What is known of the recordings as they are: kind and channel of a finding, and the reason for it.

@@ -29,7 +29,7 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from wrapjax.preprocessing.recording_findings import recording_findings
+    from wrapjax.preprocessing.checks.recording_findings import recording_findings
     from wrapjax.subject.description import Table, describe_subject, render_tables, tables_content
     from wrapjax.subject.subject import load_subject
 

@@ -52,9 +52,9 @@ def kinematics_table(content: dict[str, Any]) -> str:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
+    from wrapjax.preprocessing.files.kinematics_settings import read_kinematics_settings
+    from wrapjax.preprocessing.files.laboratory_settings import named_rotation
     from wrapjax.preprocessing.inverse_kinematics import inverse_kinematics, read_marker_file
-    from wrapjax.preprocessing.kinematics_settings import read_kinematics_settings
-    from wrapjax.preprocessing.laboratory_settings import named_rotation
 
     check_output_folder(options.out, options.force)
     rotation = named_rotation(options.forward, options.up)

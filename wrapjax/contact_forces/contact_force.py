@@ -39,7 +39,7 @@ from wrapjax.muscle.hill import rigid_tendon_fiber
 from wrapjax.osim.joint_reaction import analyse_joint_reactions
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.undriven_muscles import UndrivenMuscles, build_undriven_muscles
-from wrapjax.preprocessing.gait_events import find_contacts, gait_phases
+from wrapjax.preprocessing.gait.gait_events import find_contacts, gait_phases
 from wrapjax.renamed import renamed_arguments
 from wrapjax.subject.external_loads import read_ground_loads
 from wrapjax.subject.subject import Subject

@@ -25,6 +25,8 @@ from wrapjax.joints.freed_parameters import (
 from wrapjax.joints.settings import HELD_OUT_SHARE, JointSettings, MarkerTrial
 from wrapjax.joints.skin import angle_features, drift_functions, skin_movement
 from wrapjax.osim.model import describe_model
+from wrapjax.preprocessing.checks.marker_checks import check_one_person, other_side
+from wrapjax.preprocessing.files.markers import Markers, match_markers
 from wrapjax.preprocessing.inverse_kinematics import (
     InverseKinematics,
     check_constraints,
@@ -34,8 +36,6 @@ from wrapjax.preprocessing.inverse_kinematics import (
     read_marker_file,
     solve,
 )
-from wrapjax.preprocessing.marker_checks import check_one_person, other_side
-from wrapjax.preprocessing.markers import Markers, match_markers
 
 #: Standard deviation of a marker's coordinate beside movements of skin, m, before it is estimated.
 INITIAL_NOISE = 0.005

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.toml import TableReader, describe_value, read_toml
 from wrapjax.joints.freed_parameters import FreedParameter, PriorWidths
-from wrapjax.preprocessing.laboratory_settings import (
+from wrapjax.preprocessing.files.laboratory_settings import (
     existing_file,
     laboratory_rotation,
     read_marker_weights,

@@ -12,9 +12,9 @@ from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.toml import TableReader
-from wrapjax.preprocessing.c3d import is_c3d, read_c3d_analog
-from wrapjax.preprocessing.dynamometer_files import read_device_columns
-from wrapjax.preprocessing.markers import low_pass
+from wrapjax.preprocessing.files.c3d import is_c3d, read_c3d_analog
+from wrapjax.preprocessing.files.dynamometer_files import read_device_columns
+from wrapjax.preprocessing.files.markers import low_pass
 from wrapjax.subject.emg_envelopes import resample_evenly
 from wrapjax.subject.trial_checks import MAX_MOMENT_PER_MASS, check_restoring_moments
 from wrapjax.subject.trial_settings import read_spans_of

@@ -24,10 +24,10 @@ from wrapjax.io.files import new_folder, write_json
 from wrapjax.io.storage import Storage, write_storage
 from wrapjax.jax_setup import require_float64
 from wrapjax.osim.model import describe_model, unknown_names
-from wrapjax.preprocessing.c3d import read_c3d_markers
-from wrapjax.preprocessing.kinematics_settings import CoordinateGoal, KinematicsSettings
-from wrapjax.preprocessing.marker_checks import check_exchanged_sides, check_size, exchanged_sides
-from wrapjax.preprocessing.markers import Markers, match_markers, read_trc
+from wrapjax.preprocessing.checks.marker_checks import check_exchanged_sides, check_size, exchanged_sides
+from wrapjax.preprocessing.files.c3d import read_c3d_markers
+from wrapjax.preprocessing.files.kinematics_settings import CoordinateGoal, KinematicsSettings
+from wrapjax.preprocessing.files.markers import Markers, match_markers, read_trc
 
 if TYPE_CHECKING:
     from xarray import Dataset

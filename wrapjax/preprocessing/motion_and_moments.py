@@ -17,12 +17,12 @@ from wrapjax.osim.mechanics import Mechanics, analyse_mechanics
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.motion import Motion as PosedMotion
 from wrapjax.osim.tools import solve_inverse_dynamics, solve_inverse_kinematics
-from wrapjax.preprocessing.consistency_checks import Check, check_marker_errors
-from wrapjax.preprocessing.force_plates import FootForces, write_forces
-from wrapjax.preprocessing.joint_angles import Motion
-from wrapjax.preprocessing.laboratory_settings import LaboratorySettings, LaboratoryTrial
-from wrapjax.preprocessing.markers import Markers, low_pass, write_trc
-from wrapjax.preprocessing.recorded_files import PreparationModel, RecordedFiles
+from wrapjax.preprocessing.checks.consistency_checks import Check, check_marker_errors
+from wrapjax.preprocessing.files.joint_angles import Motion
+from wrapjax.preprocessing.files.laboratory_settings import LaboratorySettings, LaboratoryTrial
+from wrapjax.preprocessing.files.markers import Markers, low_pass, write_trc
+from wrapjax.preprocessing.files.recorded_files import PreparationModel, RecordedFiles
+from wrapjax.preprocessing.gait.force_plates import FootForces, write_forces
 from wrapjax.subject.emg_envelopes import resample_evenly
 from wrapjax.subject.trials import GAIT
 

@@ -16,13 +16,13 @@ from wrapjax.io.storage import Storage
 from wrapjax.io.toml import collect_problems
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.tools import marker_names, scale_masses, scale_model
-from wrapjax.preprocessing.force_plates import SIDES
-from wrapjax.preprocessing.joint_angles import find_coupled_coordinates
-from wrapjax.preprocessing.laboratory_settings import LaboratorySettings, read_laboratory_settings
-from wrapjax.preprocessing.nmsm_muscle_analysis import compare_muscle_analyses
-from wrapjax.preprocessing.nmsm_project import Project, read_project, write_project_as_subject
+from wrapjax.preprocessing.files.joint_angles import find_coupled_coordinates
+from wrapjax.preprocessing.files.laboratory_settings import LaboratorySettings, read_laboratory_settings
+from wrapjax.preprocessing.files.recorded_files import PreparationModel, read_emg
+from wrapjax.preprocessing.gait.force_plates import SIDES
+from wrapjax.preprocessing.nmsm.muscle_analysis import compare_muscle_analyses
+from wrapjax.preprocessing.nmsm.project import Project, read_project, write_project_as_subject
 from wrapjax.preprocessing.prepared_folder import RAW_TITLE, PreparedTrial, write_subject_folder
-from wrapjax.preprocessing.recorded_files import PreparationModel, read_emg
 from wrapjax.preprocessing.trial_preparation import prepare_trial
 from wrapjax.renamed import renamed_arguments
 from wrapjax.subject.description import Table

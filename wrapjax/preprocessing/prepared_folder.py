@@ -14,10 +14,10 @@ from jaxtyping import Float
 from wrapjax.io.files import write_text
 from wrapjax.io.storage import Storage, write_storage
 from wrapjax.io.toml import toml_list, toml_string
-from wrapjax.preprocessing.consistency_checks import Check
-from wrapjax.preprocessing.force_plates import FootForces, write_forces
-from wrapjax.preprocessing.joint_angles import Motion
-from wrapjax.preprocessing.laboratory_settings import LaboratorySettings, LaboratoryTrial
+from wrapjax.preprocessing.checks.consistency_checks import Check
+from wrapjax.preprocessing.files.joint_angles import Motion
+from wrapjax.preprocessing.files.laboratory_settings import LaboratorySettings, LaboratoryTrial
+from wrapjax.preprocessing.gait.force_plates import FootForces, write_forces
 from wrapjax.subject.joint_spread import JOINTS_FILE
 from wrapjax.subject.settings import SETTINGS_FILE
 from wrapjax.subject.trials import GAIT

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem, nearest_name
-from wrapjax.preprocessing.consistency_checks import (
+from wrapjax.preprocessing.checks.consistency_checks import (
     MIN_LOAD_SHARE,
     Check,
     check_calf_emg_against_moment,
@@ -17,14 +17,18 @@ from wrapjax.preprocessing.consistency_checks import (
     check_forces_against_motion,
     check_support,
 )
-from wrapjax.preprocessing.cycle_outliers import (
+from wrapjax.preprocessing.dynamometer import DynamometerSettings, compare_angles, read_device_trial
+from wrapjax.preprocessing.files.joint_angles import Motion
+from wrapjax.preprocessing.files.laboratory_settings import LaboratorySettings, LaboratoryTrial
+from wrapjax.preprocessing.files.markers import MOTION_HARMONIC
+from wrapjax.preprocessing.files.recorded_files import PreparationModel, RecordedFiles, read_files
+from wrapjax.preprocessing.gait.cycle_outliers import (
     dropped_sentences,
     steps_of_other_foot,
     unusual_durations,
     unusual_moments,
 )
-from wrapjax.preprocessing.dynamometer import DynamometerSettings, compare_angles, read_device_trial
-from wrapjax.preprocessing.flight_steps import (
+from wrapjax.preprocessing.gait.flight_steps import (
     MIN_OTHER_SHARE,
     assign_steps,
     find_flight_contacts,
@@ -33,11 +37,8 @@ from wrapjax.preprocessing.flight_steps import (
     is_flight,
     stride_time,
 )
-from wrapjax.preprocessing.force_plates import SIDES, FootForces
-from wrapjax.preprocessing.gait_events import find_contacts
-from wrapjax.preprocessing.joint_angles import Motion
-from wrapjax.preprocessing.laboratory_settings import LaboratorySettings, LaboratoryTrial
-from wrapjax.preprocessing.markers import MOTION_HARMONIC
+from wrapjax.preprocessing.gait.force_plates import SIDES, FootForces
+from wrapjax.preprocessing.gait.gait_events import find_contacts
 from wrapjax.preprocessing.motion_and_moments import (
     analyse_bodies,
     filtered_forces,
@@ -49,7 +50,6 @@ from wrapjax.preprocessing.motion_and_moments import (
     trial_moments,
 )
 from wrapjax.preprocessing.prepared_folder import PreparedTrial
-from wrapjax.preprocessing.recorded_files import PreparationModel, RecordedFiles, read_files
 from wrapjax.subject.emg_envelopes import compute_envelopes, sampling_rate
 from wrapjax.subject.trials import GAIT
 from wrapjax.subject.windows import SETTLING_SECONDS

@@ -11,7 +11,7 @@ from scipy.signal import welch
 
 from wrapjax.io.files import new_folder, write_json, write_text
 from wrapjax.io.storage import Storage, component_name, find_columns, read_storage
-from wrapjax.preprocessing.recording_findings import RESIDUAL_FORCE, RESIDUAL_MOMENT, Finding
+from wrapjax.preprocessing.checks.recording_findings import RESIDUAL_FORCE, RESIDUAL_MOMENT, Finding
 from wrapjax.report import markup
 from wrapjax.report.cycle_panels import label_gait_cycles
 from wrapjax.report.formatting import counted, leg_name

@@ -14,7 +14,7 @@ from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.calibration.uncertainty.intervals import LegSpread
 from wrapjax.io.storage import Storage
 from wrapjax.model.parameters import QUANTITIES
-from wrapjax.preprocessing.nmsm_files import OSIMX_QUANTITIES, OsimxMuscle, format_osimx
+from wrapjax.preprocessing.nmsm.files import OSIMX_QUANTITIES, OsimxMuscle, format_osimx
 from wrapjax.report.cycle_panels import MomentCurves
 from wrapjax.subject.trials import GAIT
 

@@ -19,7 +19,7 @@ from wrapjax.contact_forces.contact_result import (
 from wrapjax.contact_forces.static_optimization import RESIDUAL_SCALE
 from wrapjax.io.files import new_folder, write_json, write_text
 from wrapjax.io.storage import write_storage
-from wrapjax.preprocessing.gait_events import uniform_phases
+from wrapjax.preprocessing.gait.gait_events import uniform_phases
 from wrapjax.report import markup
 from wrapjax.report.calibration.run_summary import file_stems
 from wrapjax.report.contact_forces.summary import (

@@ -14,8 +14,8 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.preprocessing.force_plates import SIDES, FootForces, centers_of_pressure
-from wrapjax.preprocessing.gait_events import (
+from wrapjax.preprocessing.gait.force_plates import SIDES, FootForces, centers_of_pressure
+from wrapjax.preprocessing.gait.gait_events import (
     CONTACT_FORCE,
     MIN_PHASE_DURATION,
     without_short_runs,

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.skeleton.model_description import ModelDescription
-from wrapjax.preprocessing.markers import Markers
+from wrapjax.preprocessing.files.markers import Markers
 
 #: Ratio of recorded to modelled distances between markers of a body beyond which the unit must be wrong.
 MAX_SIZE_RATIO = 3.0

@@ -15,7 +15,7 @@ from wrapjax.io.model_file import ModelFile, MuscleParameters, read_model_file
 from wrapjax.io.storage import read_storage
 from wrapjax.io.toml import toml_list, toml_string
 from wrapjax.io.xml import read_xml
-from wrapjax.preprocessing.nmsm_files import OsimxMuscle, ToolSettings, read_osimx, read_tool_settings
+from wrapjax.preprocessing.nmsm.files import OsimxMuscle, ToolSettings, read_osimx, read_tool_settings
 from wrapjax.subject.settings import SETTINGS_FILE
 from wrapjax.subject.trials import FRAMES
 

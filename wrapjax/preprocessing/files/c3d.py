@@ -19,8 +19,8 @@ from jaxtyping import Float
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.files import read_content
 from wrapjax.io.storage import Storage
-from wrapjax.preprocessing.force_plates import FootForces, ForceColumns
-from wrapjax.preprocessing.markers import METERS_PER_UNIT, Markers, check_markers
+from wrapjax.preprocessing.files.markers import METERS_PER_UNIT, Markers, check_markers
+from wrapjax.preprocessing.gait.force_plates import FootForces, ForceColumns
 
 #: Bytes of a block.
 _BLOCK = 512

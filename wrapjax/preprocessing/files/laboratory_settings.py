@@ -12,7 +12,7 @@ from jaxtyping import Float
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.toml import TableReader, describe_value, parse_toml, read_toml_text
 from wrapjax.preprocessing.dynamometer import DynamometerSettings, read_dynamometer
-from wrapjax.preprocessing.force_plates import SIDES, ForceColumns
+from wrapjax.preprocessing.gait.force_plates import SIDES, ForceColumns
 from wrapjax.subject.settings import read_channels
 from wrapjax.subject.trial_settings import (
     TrialSettings,

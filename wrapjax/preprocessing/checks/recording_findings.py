@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from scipy.signal import welch
 
 from wrapjax.io.storage import Storage, component_name, find_columns, read_storage
-from wrapjax.preprocessing.consistency_checks import check_calf_emg_against_moment
+from wrapjax.preprocessing.checks.consistency_checks import check_calf_emg_against_moment
 from wrapjax.subject.emg_envelopes import compute_envelopes, resample_evenly, sampling_rate
 from wrapjax.subject.gait_activity import exchanged_channels
 from wrapjax.subject.subject import Subject

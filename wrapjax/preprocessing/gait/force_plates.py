@@ -21,8 +21,8 @@ from jaxtyping import Bool, Float
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.files import write_text
 from wrapjax.io.storage import Storage, find_columns, read_storage, write_storage
-from wrapjax.preprocessing.gait_events import CONTACT_FORCE, MIN_PHASE_DURATION, without_short_runs
-from wrapjax.preprocessing.markers import low_pass
+from wrapjax.preprocessing.files.markers import low_pass
+from wrapjax.preprocessing.gait.gait_events import CONTACT_FORCE, MIN_PHASE_DURATION, without_short_runs
 
 #: Names of the sides.
 SIDES = {"l": "left", "r": "right"}

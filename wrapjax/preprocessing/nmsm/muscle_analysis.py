@@ -19,7 +19,7 @@ from wrapjax.io.storage import Storage, find_columns, read_storage
 from wrapjax.io.toml import collect_problems
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.muscle_analysis import PathGeometry, analyse_muscles
-from wrapjax.preprocessing.nmsm_project import Project, ProjectTrial
+from wrapjax.preprocessing.nmsm.project import Project, ProjectTrial
 from wrapjax.subject.recordings import select_angles
 
 #: Difference of lengths and moment arms above which a warning is given, m. Filters, and OpenSim's wrapping

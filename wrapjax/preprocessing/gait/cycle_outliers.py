@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.preprocessing.force_plates import SIDES, FootForces, centers_of_pressure
+from wrapjax.preprocessing.gait.force_plates import SIDES, FootForces, centers_of_pressure
 
 #: Largest distance of a cycle from the median of all, in robust standard deviations.
 MOST_DEVIATIONS = 5.0

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.preprocessing.force_plates import (
+from wrapjax.preprocessing.gait.force_plates import (
     MAX_SWING,
     SIDES,
     FootForces,

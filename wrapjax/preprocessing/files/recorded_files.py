@@ -13,12 +13,16 @@ from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.geometry.skeleton.model_description import Coordinate
 from wrapjax.io.model_file import ModelFile
 from wrapjax.io.storage import Storage, read_storage
-from wrapjax.preprocessing.c3d import is_c3d, read_c3d_analog, read_c3d_markers, read_plates
-from wrapjax.preprocessing.emg_quality import emg_faults, envelope_faults
-from wrapjax.preprocessing.force_plates import FootForces, read_force_columns
-from wrapjax.preprocessing.joint_angles import Motion, read_motion
-from wrapjax.preprocessing.laboratory_settings import LaboratorySettings, LaboratoryTrial, laboratory_rotation
-from wrapjax.preprocessing.markers import Markers, match_markers, read_trc
+from wrapjax.preprocessing.checks.emg_quality import emg_faults, envelope_faults
+from wrapjax.preprocessing.files.c3d import is_c3d, read_c3d_analog, read_c3d_markers, read_plates
+from wrapjax.preprocessing.files.joint_angles import Motion, read_motion
+from wrapjax.preprocessing.files.laboratory_settings import (
+    LaboratorySettings,
+    LaboratoryTrial,
+    laboratory_rotation,
+)
+from wrapjax.preprocessing.files.markers import Markers, match_markers, read_trc
+from wrapjax.preprocessing.gait.force_plates import FootForces, read_force_columns
 from wrapjax.subject.emg_envelopes import resample_evenly, sampling_rate
 from wrapjax.subject.recordings import MIN_RAW_EMG_RATE
 

@@ -1,0 +1,1 @@
+"""Checks of recordings: consistency, EMG channels, markers, and what may spoil a result."""

@@ -1,0 +1,1 @@
+"""A laboratory's files: settings, markers, angles, dynamometer, and what one recording consists of."""
