@@ -20,9 +20,8 @@ EXPECTED_OUTPUT = {
 }
 
 
-#: Paths round two cylinders and a diagnosis take minutes; `tests/geometry` and
-#: `tests/diagnosis/test_diagnosis.py` have both with few muscles.
-SLOW = {"02_wrapping.py", "03_diagnosis.py"}
+#: A diagnosis takes minutes; `tests/diagnosis/test_diagnosis.py` runs one with few muscles.
+SLOW = {"03_diagnosis.py"}
 
 
 @pytest.mark.parametrize(
