@@ -18,7 +18,9 @@ from tests.report.synthetic_diagnosis import (
     OUTCOME_MAKERS,
     SPEEDS,
     finding,
+    insufficient_data,
     named,
+    not_converged,
     partial,
 )
 from wrapjax import InputError
@@ -333,6 +335,19 @@ def test_findings_of_each_outcome():
     assert "Two calibration cycles at 0.8 m/s, where three are the fewest." in said["insufficient_data"]
     assert "calibration of the plain model did not converge" in said["not_converged"]
     assert not any(re.search(r"\bcaus", text.lower()) for text in said.values())
+
+
+def test_too_few_cycles_are_not_reported_as_a_fit_that_did_not_converge(subject):
+    """With too few cycles the check of convergence is not made, and lists why."""
+    for make, said in (
+        (insufficient_data, "The convergence of the plain model was not examined:"),
+        (not_converged, "The calibration of the plain model did not converge:"),
+    ):
+        result = make()
+        check = replace(result.convergence_check, problems=("1 calibration cycle at one speed",))
+        page = render_diagnosis(subject, replace(result, convergence_check=check))
+        assert said in page
+        assert page.count("was not examined:") + page.count("did not converge:") == 1
 
 
 def test_untested_effects_are_stated():

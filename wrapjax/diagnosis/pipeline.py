@@ -93,7 +93,8 @@ def run_diagnosis(
     fewest = int(plan.counts.min()) if len(plan.counts) else 0
     if fewest < FEWEST_CYCLES:
         reason = (
-            f"{fewest} calibration cycles at one speed; {FEWEST_CYCLES} are the fewest that show what repeats"
+            f"{fewest} calibration cycle{'' if fewest == 1 else 's'} at one speed; {FEWEST_CYCLES} are the "
+            "fewest that show what repeats"
         )
         return result_without_diagnosis(data, "insufficient_data", reason, watch.seconds), None
     if known is None:

@@ -31,17 +31,23 @@ from wrapjax.subject.subject import Subject
 def convergence_section(result: DiagnosisResult) -> str:
     """Write the report section on the convergence check of the plain model and on the detection threshold."""
     convergence_check = result.convergence_check
-    parts = _convergence(convergence_check)
+    parts = _convergence(result)
     if rows := [*_convergence_rows(convergence_check), *_null_rows(result)]:
         caption = "Convergence of the plain model's fit, and comparison of the evidence with null replicates."
         parts.append(markup.table(("check", "value", "meaning"), rows, caption=caption))
     return markup.section("Convergence and detection threshold", *parts, *_conflicts(convergence_check))
 
 
-def _convergence(convergence_check: ConvergenceCheck) -> list[str]:
+def _convergence(result: DiagnosisResult) -> list[str]:
+    convergence_check = result.convergence_check
     if convergence_check.problems:
+        examined = result.outcome != "insufficient_data"
         return [
-            markup.paragraph("The calibration of the plain model did not converge:"),
+            markup.paragraph(
+                "The calibration of the plain model did not converge:"
+                if examined
+                else "The convergence of the plain model was not examined:"
+            ),
             markup.bullets(convergence_check.problems),
         ]
     if not convergence_check.costs:
