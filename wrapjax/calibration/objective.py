@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from wrapjax.calibration.linearized_limits import muscle_limits
 from wrapjax.calibration.muscle_derivatives import (
     Outputs,
     coupled_hessian,
@@ -178,6 +179,8 @@ class Objective(AbstractCalibration):
                 own_gram += gram.own
             for members, block in gram.groups:
                 groups[members] = groups[members] + block if members in groups else block
+        first_limit = len(self.penalties)
+        limits = muscle_limits(self.limits, values[first_limit:], value_slopes[first_limit:], self.variables)
         curvatures = self._muscle_curvatures(inputs, rows, tuple(multipliers))
         if self.variables.modes:
             curvatures += self._path_curvatures(variables, inputs, rows, tuple(multipliers))
@@ -186,6 +189,7 @@ class Objective(AbstractCalibration):
             gradient=gradient + self.variables.gather(local_gradient)[:, 0],
             gauss_newton=gauss_newton + self.variables.assemble(own_gram, groups),
             remainder=self.variables.assemble(curvatures),
+            limits=limits,
         )
         return model, transposed.T
 

@@ -29,6 +29,9 @@ Reader = Callable[[ModelParameters, MuscleState], Float[Array, "..."]]
 #: Linear function of the quantity whose values are penalised.
 Reduction = Callable[[Float[Array, "..."]], Float[Array, " value"]]
 
+# Largest number of a muscle's values with a weight for which these are selected before they are multiplied.
+_FEW = 256
+
 
 class Gram(eqx.Module):
     """Nonzero blocks of ``J'J``, with J the Jacobian of residuals by the local variables of the muscles."""
@@ -172,7 +175,32 @@ class Limit(AbstractPenalty):
     def gram_matrix(self, values: Float[Array, "muscle value"], slopes: LocalBlocks) -> Gram:
         """Compute one block per muscle from the values above the shifted bound."""
         above = self.weight * self.factor**2 * (self.excess(values) + self.shift > 0.0)
-        return Gram(slopes.map(lambda own, above: _squares(own, above[:, None]), above))
+        return Gram(weighted_products(slopes, above))
+
+
+def weighted_products(slopes: LocalBlocks, weights: Float[Array, "muscle value"]) -> LocalBlocks:
+    """Sum products of derivatives by two local variables over a muscle's values, times mostly zero weights.
+
+    Where few weights of each muscle differ from zero, only these values are multiplied.
+    """
+    few = min(_FEW, weights.shape[1])
+    counts = jnp.sum(weights != 0.0, axis=1)
+
+    def of_few() -> LocalBlocks:
+        places = jax.vmap(lambda own: jnp.nonzero(own, size=few, fill_value=0)[0])(weights)
+        chosen = jnp.take_along_axis(weights, places, axis=1) * (jnp.arange(few)[None] < counts[:, None])
+        return slopes.map(
+            lambda slope, place, own: _squares(
+                jnp.take_along_axis(slope, place[:, None], axis=2), own[:, None]
+            ),
+            places,
+            chosen,
+        )
+
+    def of_all() -> LocalBlocks:
+        return slopes.map(lambda slope, own: _squares(slope, own[:, None]), weights)
+
+    return jax.lax.cond(counts.max() <= few, of_few, of_all)
 
 
 def _squares(

@@ -8,9 +8,10 @@ relative to the model's. Delays, EMG scales and paths differ between legs, becau
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -18,7 +19,11 @@ from jaxtyping import Array, Float, Int
 from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.penalties import Limit
 from wrapjax.calibration.solvers.augmented_lagrangian import ConstrainedSolution
-from wrapjax.calibration.solvers.interface import AbstractCalibration, Linearization
+from wrapjax.calibration.solvers.interface import (
+    AbstractCalibration,
+    AbstractLinearizedLimits,
+    Linearization,
+)
 from wrapjax.model.parameters import ModelParameters
 
 #: Parameters that muscles of the same name share, in solver units: ratios of lengths, times.
@@ -127,8 +132,9 @@ class TwoLegObjective(AbstractCalibration):
 
     def _sum_expansions(self, expansions: Sequence[Linearization]) -> Linearization:
         count = self.bounds.shape[1]
+        limits = _join_limits([expansion.limits for expansion in expansions], self.places, count)
         total = Linearization(
-            jnp.zeros(()), jnp.zeros(count), jnp.zeros((count, count)), jnp.zeros((count, count))
+            jnp.zeros(()), jnp.zeros(count), jnp.zeros((count, count)), jnp.zeros((count, count)), limits
         )
         for own, place in zip(expansions, self.places, strict=True):
             rows, columns = jnp.asarray(place)[:, None], jnp.asarray(place)[None]
@@ -137,8 +143,58 @@ class TwoLegObjective(AbstractCalibration):
                 gradient=total.gradient.at[place].add(own.gradient),
                 gauss_newton=total.gauss_newton.at[rows, columns].add(own.gauss_newton),
                 remainder=total.remainder.at[rows, columns].add(own.remainder),
+                limits=limits,
             )
         return total
+
+
+class TwoLegLimits(AbstractLinearizedLimits):
+    """Limits of the first leg, then those of the second, about a point of the joint variables."""
+
+    excess: Float[Array, " row"]
+    weight: Float[Array, " row"]
+    legs: tuple[AbstractLinearizedLimits, ...]
+    places: tuple[Int[np.ndarray, " own"], Int[np.ndarray, " own"]]
+    #: Number of joint variables.
+    count: int = eqx.field(static=True)
+
+    def change(self, move: Float[Array, " variable"]) -> Float[Array, " row"]:
+        """Compute the change of the excess by a move."""
+        return jnp.concatenate(
+            [leg.change(move[place]) for leg, place in zip(self.legs, self.places, strict=True)]
+        )
+
+    def gradient(self, multipliers: Float[Array, " row"]) -> Float[Array, " variable"]:
+        """Compute the sum of the gradients of the excesses, times multipliers."""
+        total = jnp.zeros(self.count)
+        for leg, place, own in self._by_leg(multipliers):
+            total = total.at[place].add(leg.gradient(own))
+        return total
+
+    def gram(self, weights: Float[Array, " row"]) -> Float[Array, "variable variable"]:
+        """Compute the sum of the outer products of the gradients of the excesses, times weights."""
+        total = jnp.zeros((self.count, self.count))
+        for leg, place, own in self._by_leg(weights):
+            total = total.at[jnp.asarray(place)[:, None], jnp.asarray(place)[None]].add(leg.gram(own))
+        return total
+
+    def _by_leg(
+        self, rows: Float[Array, " row"]
+    ) -> Iterator[tuple[AbstractLinearizedLimits, Int[np.ndarray, " own"], Float[Array, " _"]]]:
+        yield from zip(self.legs, self.places, jnp.split(rows, [self.legs[0].excess.size]), strict=True)
+
+
+def _join_limits(
+    limits: Sequence[AbstractLinearizedLimits | None],
+    places: tuple[Int[np.ndarray, " own"], Int[np.ndarray, " own"]],
+    count: int,
+) -> TwoLegLimits | None:
+    """Join the limits of both legs; None if a leg has none, as where all paths are held."""
+    legs = tuple(own for own in limits if own is not None)
+    if len(legs) < len(limits):
+        return None
+    excess, weight = (jnp.concatenate([getattr(leg, name) for leg in legs]) for name in ("excess", "weight"))
+    return TwoLegLimits(excess, weight, legs, places, count)
 
 
 def join_leg_objectives(first: Objective, second: Objective) -> TwoLegObjective:

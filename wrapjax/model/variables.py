@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped
 
 from wrapjax.model.freedom import Freedom
 from wrapjax.model.parameters import ModelParameters, with_path_modes
@@ -41,7 +41,7 @@ class LocalBlocks(eqx.Module):
     #: The axes of each part are ``muscle local``, followed by others.
     parts: tuple[Float[Array, "_ _ ..."], ...]
 
-    def map(self, function: Callable[..., Array], *by_muscle: Float[Array, "_ ..."]) -> LocalBlocks:
+    def map(self, function: Callable[..., Array], *by_muscle: Shaped[Array, "_ ..."]) -> LocalBlocks:
         """Apply a function to the part of each batch, and to the rows of its muscles in other arrays."""
         parts = [
             function(part, *(of_batch(batch, array) for array in by_muscle))
@@ -146,6 +146,12 @@ class Variables(eqx.Module):
         """Compute the local entries of every muscle, in solver units; held entries have their base values."""
         held = self.index == self.count
         return jnp.where(held, self._local(self.base), jnp.append(variables, 0.0)[self.index])
+
+    def scatter(self, move: Float[Array, " variable"]) -> LocalBlocks:
+        """Distribute a change of the variables to the local entries of every muscle."""
+        local = jnp.append(move, 0.0)[self.index]
+        parts = [of_batch(batch, local)[:, : batch.entries] for batch in self.batches]
+        return LocalBlocks(self.batches, tuple(parts))
 
     def _local(self, parameters: ModelParameters) -> Float[Array, "muscle local"]:
         single = jnp.stack([getattr(parameters, name) for name in self.names], axis=-1)

@@ -169,7 +169,8 @@ class AugmentedLagrangian:
             variables=solution.variables,
             cost=solution.cost,
             status=status,
-            linearization=solution.linearization,
+            # The derivatives of limits are larger than all else, and of no use after the solve.
+            linearization=replace(solution.linearization, limits=None),
             damping_state=solution.damping_state,
             history=tuple(log),
             max_violation=_largest_excess(excess),
@@ -198,7 +199,7 @@ class AugmentedLagrangian:
             variables=np.asarray(state.variables),
             cost=float(linearization.cost),
             status=status,
-            linearization=linearization,
+            linearization=replace(linearization, limits=None),
             damping_state=state.damping_state,
             history=tuple(history),
             max_violation=_largest_excess(excess),

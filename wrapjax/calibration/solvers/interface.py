@@ -17,6 +17,29 @@ if TYPE_CHECKING:
     from wrapjax.calibration.penalties import Limit
 
 
+class AbstractLinearizedLimits(eqx.Module):
+    """Limits about a point: terms ``weight * max(0, excess)^2`` of a sum of squares, with linear excesses.
+
+    From these a solver foresees which limits a step will exceed.
+    """
+
+    #: Excess at the point; not positive where a limit is not exceeded.
+    excess: eqx.AbstractVar[Float[Array, " row"]]
+    weight: eqx.AbstractVar[Float[Array, " row"]]
+
+    @abstractmethod
+    def change(self, move: Float[Array, " variable"]) -> Float[Array, " row"]:
+        """Compute the change of the excess by a move."""
+
+    @abstractmethod
+    def gradient(self, multipliers: Float[Array, " row"]) -> Float[Array, " variable"]:
+        """Compute the sum of the gradients of the excesses, times multipliers."""
+
+    @abstractmethod
+    def gram(self, weights: Float[Array, " row"]) -> Float[Array, "variable variable"]:
+        """Compute the sum of the outer products of the gradients of the excesses, times weights."""
+
+
 class Linearization(eqx.Module):
     """Second-order Taylor expansion of a sum of squares about a point.
 
@@ -29,6 +52,9 @@ class Linearization(eqx.Module):
     gradient: Float[Array, " variable"]
     gauss_newton: Float[Array, "variable variable"]
     remainder: Float[Array, "variable variable"]
+    #: Limits among the residuals, whose squares are in the expansion only where they are exceeded at the
+    #: point; None where there are none.
+    limits: AbstractLinearizedLimits | None = None
 
 
 class AbstractLeastSquares(eqx.Module):

@@ -31,7 +31,6 @@ from wrapjax.calibration.solvers.interface import (
     SolverState,
 )
 from wrapjax.calibration.solvers.levenberg_marquardt import (
-    absolute_value,
     evaluate_step,
     half_hessian,
     propose_step,
@@ -135,7 +134,7 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver[PyTree, PyTree, 
         candidate = jax.lax.cond(
             jnp.isfinite(candidate).all(),
             lambda: candidate,
-            lambda: propose_step(own, absolute_value(hessian), problem.lower, problem.upper),
+            lambda: propose_step(own, _absolute_value(hessian), problem.lower, problem.upper),
         )
         step = evaluate_step(own, candidate, problem.value(candidate))
         after = SolverState(candidate, own.linearization, step.after_acceptance)
@@ -195,6 +194,12 @@ def _problem(fn: Callable[..., Any], y: PyTree, args: PyTree, options: dict[str,
         return ravel_pytree(fn(unravel(variables), args)[0])[0]
 
     return _Residuals(residuals, (bound("lower", -jnp.inf), bound("upper", jnp.inf)))
+
+
+def _absolute_value(hessian: Float[Array, "variable variable"]) -> Float[Array, "variable variable"]:
+    """Replace the eigenvalues of a symmetric matrix by their absolute values, in a compiled program."""
+    values, vectors = jnp.linalg.eigh(hessian)
+    return (vectors * jnp.abs(values)[None, :]) @ vectors.T
 
 
 def _small(
