@@ -199,7 +199,9 @@ def test_products_of_few_and_of_many_weighted_values(counted):
     generator = np.random.default_rng(counted)
     slopes, weights = generator.normal(size=(2, 4, 1000)), np.zeros((2, 1000))
     for muscle in range(2):
-        weights[muscle, generator.choice(1000, counted, replace=False)] = generator.normal(size=counted)
+        # The first value among them: it also fills the places that are left over.
+        places = np.append(0, 1 + generator.choice(999, counted - 1, replace=False))
+        weights[muscle, places] = generator.normal(size=counted)
     blocks = LocalBlocks((Batch((0, 1), 4),), (jnp.asarray(slopes),))
     expected = np.einsum("mpk,mk,mqk->mpq", slopes, weights, slopes)
     found = weighted_products(blocks, jnp.asarray(weights)).parts[0]
