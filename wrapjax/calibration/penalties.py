@@ -16,7 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from wrapjax.model.forward import MuscleState
 from wrapjax.model.parameters import ModelParameters
@@ -29,7 +29,7 @@ Reader = Callable[[ModelParameters, MuscleState], Float[Array, "..."]]
 #: Linear function of the quantity whose values are penalised.
 Reduction = Callable[[Float[Array, "..."]], Float[Array, " value"]]
 
-# Largest number of a muscle's values with a weight for which these are selected before they are multiplied.
+# Number of a muscle's weighted values that are multiplied at a time.
 _FEW = 256
 
 
@@ -181,26 +181,31 @@ class Limit(AbstractPenalty):
 def weighted_products(slopes: LocalBlocks, weights: Float[Array, "muscle value"]) -> LocalBlocks:
     """Sum products of derivatives by two local variables over a muscle's values, times mostly zero weights.
 
-    Where few weights of each muscle differ from zero, only these values are multiplied.
+    Only values with a weight are multiplied, a few at a time, because few limits are exceeded.
     """
-    few = min(_FEW, weights.shape[1])
-    counts = jnp.sum(weights != 0.0, axis=1)
+    values = weights.shape[1]
+    few = min(_FEW, values)
+    number = jnp.cumsum(weights != 0.0, axis=1)
 
-    def of_few() -> LocalBlocks:
-        places = jax.vmap(lambda own: jnp.nonzero(own, size=few, fill_value=0)[0])(weights)
-        chosen = jnp.take_along_axis(weights, places, axis=1) * (jnp.arange(few)[None] < counts[:, None])
-        return slopes.map(
+    def add_products(carry: tuple[Int[Array, ""], LocalBlocks]) -> tuple[Int[Array, ""], LocalBlocks]:
+        done, total = carry
+        wanted = done + 1 + jnp.arange(few)
+        places = jax.vmap(lambda own: jnp.searchsorted(own, wanted))(number)
+        inside = jnp.minimum(places, values - 1)
+        chosen = jnp.where(places < values, jnp.take_along_axis(weights, inside, axis=1), 0.0)
+        products = slopes.map(
             lambda slope, place, own: _squares(
                 jnp.take_along_axis(slope, place[:, None], axis=2), own[:, None]
             ),
-            places,
+            inside,
             chosen,
         )
+        return done + few, total + products
 
-    def of_all() -> LocalBlocks:
-        return slopes.map(lambda slope, own: _squares(slope, own[:, None]), weights)
-
-    return jax.lax.cond(counts.max() <= few, of_few, of_all)
+    nothing = slopes.map(lambda own: jnp.zeros((*own.shape[:2], own.shape[1])))
+    start = jnp.zeros((), number.dtype), nothing
+    most = number[:, -1].max()
+    return jax.lax.while_loop(lambda carry: carry[0] < most, add_products, start)[1]
 
 
 def _squares(
