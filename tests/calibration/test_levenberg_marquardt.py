@@ -166,6 +166,17 @@ def test_cost_that_is_not_finite_is_reported():
     assert ProjectedLevenbergMarquardt().solve(problem, np.full(1, 0.5)).status is Status.not_finite
 
 
+def test_derivatives_that_are_not_finite_are_reported():
+    """The cost is finite, but not its second derivatives at the origin: no step is found, and none raises."""
+    problem = dense(
+        lambda x: jnp.append(jnp.sqrt(jnp.abs(x)) + 1.0, 1.0 + x.sum()), -jnp.ones(2), jnp.ones(2)
+    )
+    assert np.isfinite(problem.value_at(jnp.zeros(2)))
+    found = ProjectedLevenbergMarquardt().solve(problem, np.zeros(2))
+    assert found.status is Status.damping and not found.status.converged
+    np.testing.assert_array_equal(found.variables, 0.0)
+
+
 def test_starting_at_the_optimum_takes_no_iteration():
     problem = dense(lambda x: x - 0.25, jnp.zeros(2), jnp.ones(2))
     found = ProjectedLevenbergMarquardt().solve(problem, np.full(2, 0.25))
