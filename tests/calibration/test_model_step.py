@@ -12,10 +12,10 @@ from jaxtyping import Array, Float
 from scipy.optimize import lsq_linear, minimize
 
 from tests.calibration.test_legs import on_the_right
+from tests.calibration.test_levenberg_marquardt import Linear
 from tests.model.small import small_limited_objective
 from wrapjax.calibration.penalties import weighted_products
 from wrapjax.calibration.solvers.interface import (
-    AbstractLeastSquares,
     AbstractLinearizedLimits,
     Linearization,
     Status,
@@ -43,22 +43,12 @@ class DenseLimits(AbstractLinearizedLimits):
         return (self.jacobian.T * weights[None]) @ self.jacobian
 
 
-class Limited(AbstractLeastSquares):
+class Limited(Linear):
     """Linear least squares with a limit on linear functions, within the unit box."""
 
-    matrix: Float[Array, "row variable"]
-    target: Float[Array, " row"]
     limits: DenseLimits
     #: Whether the expansion tells of limits that are not exceeded.
     foreseen: bool = True
-
-    @property
-    def lower(self):
-        return -jnp.ones(self.matrix.shape[1])
-
-    @property
-    def upper(self):
-        return jnp.ones(self.matrix.shape[1])
 
     def linearize(self, variables):
         rows = self.matrix @ variables - self.target

@@ -57,8 +57,8 @@ def minimize_model(
     Returns
     -------
     Array
-        Move; not finite where the Hessian is not positive definite. With limits it is approximate: the last
-        quadratic model lowered m by at most 1 % of its decrease.
+        Move; not finite where the Hessian is not positive definite. With limits it is approximate: the search
+        ends when a quadratic model lowers m by at most 1 % of the decrease so far, or after 20 of them.
     """
     at_bounds = (down >= 0.0) & (gradient > 0.0), (up <= 0.0) & (gradient < 0.0)
     first, at_bounds = _minimize_quadratic(gradient, hessian, down, up, at_bounds)
