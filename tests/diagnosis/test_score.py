@@ -84,13 +84,13 @@ def test_effect_sizes_beyond_their_limit_are_no_evidence(generator, covariance):
 def test_evidence_of_a_one_sided_parameter_is_that_of_a_half_normal_prior():
     for slope in (-3.0, 0.5, 6.0):
         evidence, effect_sizes, _, _ = effect_evidence(
-            np.array([slope]), np.array([[2.0]]), np.array([0.7]), np.array([True])
+            np.array([[slope]]), np.array([[2.0]]), np.array([0.7]), np.array([True])
         )
         integral, _ = quad(
             lambda t, slope=slope: 2 * norm.pdf(t, scale=0.7) * np.exp(slope * t - t * t), 0, 12, epsabs=1e-13
         )
         assert evidence == pytest.approx(np.log(integral), abs=1e-8)
-        assert effect_sizes[0] >= 0.0
+        assert effect_sizes[0, 0] >= 0.0
 
 
 def test_variants_and_nulls_are_averaged(generator, covariance):
@@ -134,12 +134,12 @@ def test_a_larger_prior_factor_gives_more_evidence_for_a_large_effect(generator,
     (found,) = score_each(residual[None], [Null(covariance)], [effect])[0].scores
     inverse = np.linalg.inv(covariance)
     of_prior, *_ = effect_evidence(
-        signature @ inverse @ residual,
+        (signature @ inverse @ residual)[None],
         signature @ inverse @ signature.T,
         effect.prior_sd,
         effect.one_sided,
     )
-    assert found.evidence > of_prior + 10.0
+    assert found.evidence > of_prior[0] + 10.0
 
 
 def test_detectability_is_the_shift_of_the_score_in_deviations(generator, covariance):

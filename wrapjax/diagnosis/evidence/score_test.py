@@ -10,11 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 import scipy.linalg
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy.special import log_ndtr, logsumexp
 
 from wrapjax.diagnosis.evidence.linearization import Candidate
@@ -151,117 +150,91 @@ def score_projected(
     projections: Sequence[Projection], candidates: Sequence[Candidate]
 ) -> tuple[ScoreTest, ...]:
     """Score every candidate from the projections by all nulls; see `score_each`."""
-    by_null = [_score_against(one, candidates) for one in projections]
-    null_weights = np.array([one.weight for one in projections])
-    without_effect = logsumexp(null_weights, axis=0)
-    tests = []
-    for sample in range(null_weights.shape[1]):
-        scores = []
-        for number, candidate in enumerate(candidates):
-            tested = [one_null[number] for one_null in by_null]
-            joint = null_weights[:, sample] + [one_null.evidence[sample] for one_null in tested]
-            best = tested[int(np.argmax(joint))]
-            hypothesis = best.hypotheses[int(best.best[sample])]
-            # Detectability is that under the most plausible null without any effect.
-            detectability = tested[int(np.argmax(null_weights[:, sample]))].detectability
-            scores.append(
-                Score(
-                    candidate.id,
-                    float(logsumexp(joint) - without_effect[sample]),
-                    hypothesis.variant,
-                    hypothesis.part,
-                    hypothesis.prior_factor,
-                    hypothesis.effect_sizes[sample],
-                    hypothesis.sd,
-                    detectability,
-                )
-            )
-        tests.append(ScoreTest(tuple(scores), null_weights[:, sample]))
-    return tuple(tests)
-
-
-@dataclass(frozen=True)
-class _Hypothesis:
-    variant: int
-    part: tuple[int, ...]
-    prior_factor: float
-    evidence: Float[np.ndarray, " sample"]
-    #: Zero outside the part.
-    effect_sizes: Float[np.ndarray, "sample parameter"]
-    sd: Float[np.ndarray, " parameter"]
-    detectability: float
-    log_prior: float
-
-
-@dataclass(frozen=True)
-class _Tested:
-    hypotheses: tuple[_Hypothesis, ...]
-    evidence: Float[np.ndarray, " sample"]
-    #: Number of the most plausible hypothesis.
-    best: Int[np.ndarray, " sample"]
-
-    @property
-    def detectability(self) -> float:
-        return max(one.detectability for one in self.hypotheses)
-
-
-def _score_against(projection: Projection, candidates: Sequence[Candidate]) -> list[_Tested]:
-    """Score all candidates against one null."""
-    tested, first = [], 0
+    weights = np.array([one.weight for one in projections])
+    scores, first = [], 0
     for candidate in candidates:
-        variants = []
-        for _ in candidate.variants:
-            columns = slice(first, first := first + len(candidate.prior_sd))
-            variants.append((projection.slope[:, columns], projection.information[columns, columns]))
-        tested.append(_score_candidate(variants, candidate))
-    return tested
+        scores.append(_score_candidate(projections, weights, candidate, first))
+        first += len(candidate.variants) * len(candidate.prior_sd)
+    return tuple(
+        ScoreTest(tuple(of_samples[sample] for of_samples in scores), weights[:, sample])
+        for sample in range(weights.shape[1])
+    )
 
 
 def _score_candidate(
-    variants: Sequence[
-        tuple[Float[np.ndarray, "sample parameter"], Float[np.ndarray, "parameter parameter"]]
-    ],
+    projections: Sequence[Projection],
+    weights: Float[np.ndarray, "null sample"],
     candidate: Candidate,
-) -> _Tested:
-    """Score one candidate from s and I of its variants, which have equal prior probabilities."""
-    hypotheses = []
-    limit = np.broadcast_to(candidate.limit, candidate.prior_sd.shape)
-    for variant, (slope, information) in enumerate(variants):
-        for (part, share), factor in product(candidate.hypotheses, PRIOR_FACTORS):
-            columns = np.array(part)
-            evidence, part_sizes, part_sd, detectability = effect_evidence(
-                slope[:, columns],
-                information[np.ix_(columns, columns)],
-                candidate.scaled_prior_sd(factor)[columns],
-                candidate.one_sided[columns],
+    first: int,
+) -> list[Score]:
+    """Score one candidate on every residual; its parameters begin at column ``first`` of the projections.
+
+    Variants have equal prior probabilities, and so have the factors on the prior standard deviations. All
+    nulls and factors are computed at once, hypothesis by hypothesis.
+    """
+    count, variants = len(candidate.prior_sd), len(candidate.variants)
+    hypotheses = [(variant, *one) for variant in range(variants) for one in candidate.hypotheses]
+    scaled_sd = np.array([candidate.scaled_prior_sd(factor) for factor in PRIOR_FACTORS])
+    results, weighted, detectability = [], [], []
+    for variant, part, share in hypotheses:
+        inside = np.array(part)
+        columns = first + count * variant + inside
+        results.append(
+            effect_evidence(
+                np.stack([one.slope[:, columns] for one in projections])[:, None],
+                np.stack([one.information[np.ix_(columns, columns)] for one in projections])[:, None],
+                scaled_sd[:, inside],
+                candidate.one_sided[inside],
             )
-            effect_sizes = np.zeros((len(slope), len(candidate.prior_sd)))
-            # A normal posterior has no limits.
-            effect_sizes[:, columns] = np.clip(part_sizes, -limit[columns], limit[columns])
-            sd = np.zeros(len(candidate.prior_sd))
-            sd[columns] = part_sd
-            log_prior = np.log(share / len(candidate.variants) / len(PRIOR_FACTORS))
-            hypotheses.append(
-                _Hypothesis(
-                    variant, part, factor, evidence, effect_sizes, sd, detectability / factor, log_prior
-                )
+        )
+        weighted.append(results[-1][0] + np.log(share / variants / len(PRIOR_FACTORS)))
+        detectability.append(results[-1][3] / PRIOR_FACTORS)
+    of_hypotheses = np.concatenate(weighted, axis=1)
+    joint = weights + logsumexp(of_hypotheses, axis=1)
+    evidence = logsumexp(joint, axis=0) - logsumexp(weights, axis=0)
+    # Detectability is that under the most plausible null without any effect.
+    of_nulls = np.concatenate(detectability, axis=1).max(axis=1)[np.argmax(weights, axis=0)]
+    limit = np.broadcast_to(candidate.limit, count)
+    scores = []
+    for sample, null in enumerate(np.argmax(joint, axis=0)):
+        best = int(np.argmax(of_hypotheses[null, :, sample]))
+        number, factor = divmod(best, len(PRIOR_FACTORS))
+        variant, part, _ = hypotheses[number]
+        _, sizes, sd, _ = results[number]
+        inside = np.array(part)
+        all_sizes, all_sd = np.zeros(count), np.zeros(count)
+        # A normal posterior has no limits.
+        all_sizes[inside] = np.clip(sizes[null, factor, sample], -limit[inside], limit[inside])
+        all_sd[inside] = sd[null, factor]
+        scores.append(
+            Score(
+                candidate.id,
+                float(evidence[sample]),
+                variant,
+                part,
+                PRIOR_FACTORS[factor],
+                all_sizes,
+                all_sd,
+                float(of_nulls[sample]),
             )
-    weighted = np.array([one.evidence + one.log_prior for one in hypotheses])
-    return _Tested(tuple(hypotheses), logsumexp(weighted, axis=0), np.argmax(weighted, axis=0))
+        )
+    return scores
 
 
 def effect_evidence(
-    slope: Float[np.ndarray, "*sample parameter"],
-    information: Float[np.ndarray, "parameter parameter"],
-    prior_sd: Float[np.ndarray, " parameter"],
+    slope: Float[np.ndarray, "*null sample parameter"],
+    information: Float[np.ndarray, "*null parameter parameter"],
+    prior_sd: Float[np.ndarray, "*prior parameter"],
     one_sided: Bool[np.ndarray, " parameter"],
 ) -> tuple[
-    Float[np.ndarray, "*sample"],
-    Float[np.ndarray, "*sample parameter"],
-    Float[np.ndarray, " parameter"],
-    float,
+    Float[np.ndarray, "*case sample"],
+    Float[np.ndarray, "*case sample parameter"],
+    Float[np.ndarray, "*case parameter"],
+    Float[np.ndarray, "*case"],
 ]:
     """Compute log Bayes factor (nats), posterior mean and standard deviation of sizes, and detectability.
+
+    Leading axes of nulls and priors are broadcast against each other (``case``).
 
     Parameters
     ----------
@@ -273,19 +246,21 @@ def effect_evidence(
         Whether each effect size cannot be negative. The posterior probabilities of the correct sign are
         multiplied parameter by parameter, which is exact for a single one.
     """
-    scaled = information * np.outer(prior_sd, prior_sd)
-    precision = np.eye(len(prior_sd)) + scaled
+    scaled = information * (prior_sd[..., :, None] * prior_sd[..., None, :])
+    precision = np.eye(len(one_sided)) + scaled
     covariance = np.linalg.inv(precision)
-    mean = (slope * prior_sd) @ covariance
-    sd = np.sqrt(np.diag(covariance))
-    evidence = 0.5 * np.sum(slope * prior_sd * mean, axis=-1) - 0.5 * np.linalg.slogdet(precision)[1]
+    scaled_slope = slope * prior_sd[..., None, :]
+    mean = scaled_slope @ covariance
+    sd = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+    evidence = 0.5 * np.sum(scaled_slope * mean, axis=-1) - 0.5 * np.linalg.slogdet(precision)[1][..., None]
     bounded = mean.copy()
     if one_sided.any():
         of_one_sided = mean[..., one_sided]
-        evidence = evidence + np.sum(np.log(2.0) + log_ndtr(of_one_sided / sd[one_sided]), axis=-1)
+        correct_sign = log_ndtr(of_one_sided / sd[..., None, one_sided])
+        evidence = evidence + np.sum(np.log(2.0) + correct_sign, axis=-1)
         bounded[..., one_sided] = np.maximum(of_one_sided, 0.0)
-    detectability = float(np.sqrt(np.max(np.diag(scaled))))
-    return np.asarray(evidence), bounded * prior_sd, sd * prior_sd, detectability
+    detectability = np.asarray(np.sqrt(np.max(np.diagonal(scaled, axis1=-2, axis2=-1), axis=-1)))
+    return evidence, bounded * prior_sd[..., None, :], sd * prior_sd, detectability
 
 
 def distinguishability(
