@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
+from threadpoolctl import threadpool_limits
+
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
@@ -29,12 +31,13 @@ def map_in_threads(function: Callable[[_Item], _Result], items: Sequence[_Item])
     """Apply a function to independent items, `thread_count` of them at a time; results are in their order.
 
     The first item is alone, so that its programs are compiled once. An exception of the function is raised
-    here once the items that had begun are done.
+    here once the items that had begun are done. Linear algebra of NumPy and SciPy has one thread meanwhile:
+    threads of each item's own would wait for each other.
     """
     if thread_count() < 2:
         return [function(item) for item in items]
     results = [function(item) for item in items[:1]]
-    with ThreadPoolExecutor(thread_count()) as pool:
+    with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(thread_count()) as pool:
         futures = [pool.submit(function, item) for item in items[1:]]
         try:
             return results + [future.result() for future in futures]

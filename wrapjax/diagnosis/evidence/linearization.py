@@ -44,6 +44,7 @@ from wrapjax.diagnosis.null_hypotheses.undriven_capacity import (
 from wrapjax.model.forward import Recording, joint_moments, muscle_states
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.muscle.excitation import EmgSpline
+from wrapjax.threads import map_in_threads
 
 Signature = Float[np.ndarray, "parameter row"]
 
@@ -253,8 +254,10 @@ def linearized_model(
         undriven_signatures(context, frames),
         unrecorded_moment_signatures(context, measured[..., frames], speeds),
     ]
-    for effect in effects:
-        candidate = _candidate(effect, problem, parameters, averaged, frames)
+    of_effects = map_in_threads(
+        lambda effect: _candidate(effect, problem, parameters, averaged, frames), effects
+    )
+    for effect, candidate in zip(effects, of_effects, strict=True):
         if effect.nuisance:
             nuisances += [
                 (variant * candidate.prior_sd[:, None]).reshape(-1, *fitted.shape)

@@ -21,6 +21,7 @@ from wrapjax.geometry.paths import PathState
 from wrapjax.geometry.skeleton.joint_changes import with_moved_ends
 from wrapjax.geometry.skeleton.model_description import ModelDescription
 from wrapjax.geometry.surrogates.surrogate import PathSurrogate
+from wrapjax.threads import map_in_threads
 
 # Step of central differences: ends (m), joints (m, rad) and wrap parameters (m, rad, 1).
 _STEP = 1e-4
@@ -101,14 +102,11 @@ def derivatives_by_model_changes(
         changed_engine = ExactPaths(model, engine.muscles, engine.coordinates)
         return compute_nominal_paths(changed_engine, angles, velocities, moment_coordinates)
 
-    derivatives = [
-        jax.tree.map(
-            lambda above, below: (above - below) / (2.0 * _STEP),
-            paths_of(model_at(_STEP)),
-            paths_of(model_at(-_STEP)),
-        )
-        for model_at in changed
-    ]
+    def derivative(model_at: Callable[[float], ModelDescription]) -> PathState:
+        above, below = paths_of(model_at(_STEP)), paths_of(model_at(-_STEP))
+        return jax.tree.map(lambda more, less: (more - less) / (2.0 * _STEP), above, below)
+
+    derivatives = map_in_threads(derivative, changed)
     return jax.tree.map(lambda *leaves: jnp.stack(leaves, axis=1), *derivatives)
 
 
