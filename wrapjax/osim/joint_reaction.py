@@ -98,7 +98,7 @@ def analyse_joint_reactions(
             actuator.setOverrideActuation(state, float(force))
         for actuator in closing:
             actuator.setOverrideActuation(state, 0.0)
-        missing = solver.solve(state, rates)
+        missing = solver.solve(state, opensim.Vector.createFromMat(rates))
         for actuator, column in zip(closing, columns, strict=True):
             actuator.setOverrideActuation(state, missing.get(column))
         model.realizeAcceleration(state)

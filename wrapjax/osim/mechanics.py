@@ -160,32 +160,32 @@ def analyse_mechanics(
     parents = _parents(model)
     child = {name: joint.getChildFrame().findBaseFrame().getName() for name, joint in joints.items()}
     columns = [mover.column(entries[name]) for name in coordinates]
-    rows = [index[names.index(child[name])] for name in coordinates]
+    rows = [names.index(child[name]) for name in coordinates]
 
-    count = motion.values.shape[1]
-    system_jacobian, accelerated = opensim.Matrix(), opensim.VectorOfSpatialVec()
+    count, axes = motion.values.shape[1], 6 * np.array(index)[:, None] + np.arange(6)
+    of_all_bodies, bias_of_all_bodies = opensim.Matrix(), opensim.Vector()
     jacobian = np.zeros((count, len(coordinates), 6))
     center = np.zeros((count, len(coordinates), 3))
-    rotation, origin = np.zeros((count, len(bodies), 3, 3)), np.zeros((count, len(bodies), 3))
+    quaternion, origin = np.zeros((count, len(bodies), 4)), np.zeros((count, len(bodies), 3))
     spin, accelerations = np.zeros((count, len(bodies), 3)), np.zeros((count, len(bodies), 6))
-    matter = model.getMatterSubsystem()
+    matter, frames = model.getMatterSubsystem(), [joint.getChildFrame() for joint in joints.values()]
+    # Calls of OpenSim take most of the time: what one matrix of all bodies gives is not asked body by body.
     for pose in range(count):
         rates = mover.move(motion.values[:, pose], motion.speeds[:, pose], motion.accelerations[:, pose])
-        matter.calcSystemJacobian(state, system_jacobian)
-        all_rows = system_jacobian.to_numpy()
-        matter.calcBodyAccelerationFromUDot(state, rates, accelerated)
-        for place, (row, column) in enumerate(zip(rows, columns, strict=True)):
-            jacobian[pose, place] = all_rows[6 * row : 6 * row + 6, column]
-        for place, name in enumerate(coordinates):
-            center[pose, place] = joints[name].getChildFrame().getPositionInGround(state).to_numpy()
+        matter.calcSystemJacobian(state, of_all_bodies)
+        matter.calcBiasForSystemJacobian(state, bias_of_all_bodies)
+        all_rows, bias = of_all_bodies.to_numpy(), bias_of_all_bodies.to_numpy()
+        jacobian[pose] = all_rows[axes[rows], np.array(columns)[:, None]]
+        spin[pose] = (all_rows @ state.getU().to_numpy())[axes[:, :3]]
+        accelerations[pose] = (all_rows @ rates + bias)[axes]
+        for place, frame in enumerate(frames):
+            center[pose, place] = frame.getPositionInGround(state).to_numpy()
         for place, body in enumerate(bodies):
-            transform, acceleration = body.getTransformInGround(state), accelerated.get(index[place])
-            axes = transform.R().asMat33()
-            rotation[pose, place] = [[axes.get(i, j) for j in range(3)] for i in range(3)]
+            transform = body.getTransformInGround(state)
+            parts = transform.R().convertRotationToQuaternion()
+            quaternion[pose, place] = [parts.get(part) for part in (1, 2, 3, 0)]
             origin[pose, place] = transform.p().to_numpy()
-            spin[pose, place] = body.getAngularVelocityInGround(state).to_numpy()
-            accelerations[pose, place, :3] = acceleration.get(0).to_numpy()
-            accelerations[pose, place, 3:] = acceleration.get(1).to_numpy()
+    rotation = Rotation.from_quat(quaternion.reshape(-1, 4)).as_matrix().reshape(count, len(bodies), 3, 3)
 
     at = origin[:, [names.index(child[name]) for name in coordinates]]
     turning = jacobian[..., :3]

@@ -75,7 +75,7 @@ class Mover:
         values: Float[np.ndarray, " coordinate"],
         speeds: Float[np.ndarray, " coordinate"],
         accelerations: Float[np.ndarray, " coordinate"],
-    ) -> Any:
+    ) -> Float[np.ndarray, " mobility"]:
         """Set the state, realized to velocities, and return all accelerations in the order of mobilities.
 
         Parameters
@@ -101,4 +101,4 @@ class Mover:
                 first * rates[self._columns[independent.getName()]] + second * speed**2
             )
         self._model.realizeVelocity(state)
-        return opensim.Vector.createFromMat(rates)
+        return rates
