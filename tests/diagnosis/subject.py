@@ -88,10 +88,6 @@ def _paths_by_angle(angles, velocities) -> PathState:
     return jax.vmap(along, out_axes=1)(jnp.eye(angles.shape[1]))
 
 
-def _moved_ends(directions: PathState, changes):
-    return jax.tree.map(lambda leaf: jnp.einsum("mk,mk...->m...", changes, leaf), directions)
-
-
 def _pushed(pattern, effect_sizes):
     return jnp.tensordot(effect_sizes, pattern, axes=1)
 
@@ -123,7 +119,7 @@ def small_recording_and_context(peaks: tuple[float, ...] | None = None) -> tuple
         jnp.stack([jnp.zeros_like(paths.moment_arm), 0.1 * paths.moment_arm], axis=1),
     )
     changes = PathChanges(
-        paths=Partial(_moved_ends, directions),
+        derivatives=directions,
         places=np.arange(12).reshape(6, 2),
         names=tuple(f"{muscle}.end_{number}" for muscle in MUSCLES for number in (1, 2)),
         units=("m", "1") * 6,
@@ -131,7 +127,7 @@ def small_recording_and_context(peaks: tuple[float, ...] | None = None) -> tuple
     )
     # The first two muscles share a wrap; four have none.
     wraps = PathChanges(
-        paths=Partial(_moved_ends, directions),
+        derivatives=directions,
         places=np.array([[0, 1], [0, 1], [-1, -1], [-1, -1], [-1, -1], [-1, -1]]),
         names=("condyles.translation_x_m", "condyles.radius_factor"),
         units=("m", "1"),

@@ -103,7 +103,7 @@ def test_joined_cycles_keep_their_paths_and_changes(together):
     length = np.asarray(recording.path.nominal.length)
     np.testing.assert_array_equal(length[:, :4], length[:, 4:])
     sizes = 1e-3 * jnp.ones(CONTEXT.wraps.places.shape)
-    of_all, of_first = (np.asarray(one.wraps.paths(sizes).length) for one in (context, CONTEXT))
+    of_all, of_first = (np.asarray(one.wraps.by_muscle(sizes).length) for one in (context, CONTEXT))
     np.testing.assert_allclose(of_all, np.concatenate([of_first, of_first], axis=1))
 
 

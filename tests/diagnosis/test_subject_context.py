@@ -127,7 +127,7 @@ def test_derivatives_of_paths_by_their_ends(recording_and_context):
         for axis in range(3):
             changes = np.zeros((2, 6))
             changes[row, axis] = 1.0
-            found = context.attachments.paths(jnp.asarray(changes)).length[row]
+            found = context.attachments.by_muscle(jnp.asarray(changes)).length[row]
             np.testing.assert_allclose(found, expected[axis] if axis < 2 else 0.0, atol=1e-6)
     assert context.attachments.names[0] == f"{context.muscles[0]}.origin_x_m"
 
@@ -139,7 +139,7 @@ def test_derivatives_of_paths_by_wraps(tmp_path):
     changes = wrap_changes(build_engine(subject), subject)
     assert changes.names[-1] == "ST_at_condyles_l.radius_factor"
     thicker = np.where(changes.places == 5, 0.5e-3 / 0.035, 0.0)
-    longer = np.asarray(changes.paths(jnp.asarray(thicker)).length)
+    longer = np.asarray(changes.by_muscle(jnp.asarray(thicker)).length)
     rows = [subject.muscles.names.index(name) for name in ("recfem_l", "semiten_l")]
     assert np.abs(longer[rows[0]]).max() == 0.0
     # A path that is deflected by less than half a turn gains at most pi times the change of the radius.

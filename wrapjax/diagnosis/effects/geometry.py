@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jax.tree_util import Partial
 
@@ -39,8 +38,7 @@ def _variants(changes: PathChanges | None) -> tuple[Variant, ...]:
 def _change_paths(changes: PathChanges, effect_sizes: EffectSizes) -> Alteration:
     places = jnp.asarray(changes.places)
     by_muscle = jnp.where(places >= 0, effect_sizes[places], 0.0)
-    changed, unchanged = changes.paths(by_muscle), changes.paths(jnp.zeros_like(by_muscle))
-    return Alteration(paths=Partial(add_to_paths, jax.tree.map(jnp.subtract, changed, unchanged)))
+    return Alteration(paths=Partial(add_to_paths, changes.by_muscle(by_muscle)))
 
 
 # A wrap is the same for all its muscles.

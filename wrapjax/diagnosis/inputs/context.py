@@ -30,16 +30,26 @@ _FEWEST_CYCLES = 2
 
 
 class PathChanges(eqx.Module):
-    """Changes of muscle paths by parameters, each of which changes one or several muscles."""
+    """Changes of muscle paths by parameters, each of which changes one or several muscles.
 
-    #: Function from the changes of every muscle to the paths (`AbstractPath.at`).
-    paths: Callable[[Float[Array, "muscle mode"]], PathState]
+    They are linear in the parameters.
+    """
+
+    #: Derivatives of each muscle's path by its own changes; the first axes of all leaves are ``muscle mode``.
+    derivatives: PathState
     #: Number of the parameter that gives each change of a muscle; -1 for none.
     places: Int[np.ndarray, "muscle mode"]
     #: Name, unit and prior standard deviation of each parameter.
     names: tuple[str, ...] = eqx.field(static=True)
     units: tuple[str, ...] = eqx.field(static=True)
     prior_sd: tuple[float, ...] = eqx.field(static=True)
+
+    def by_muscle(self, changes: Float[Array, "muscle mode"]) -> PathState:
+        """Compute what the changes of every muscle add to the paths."""
+        added: PathState = jax.tree.map(
+            lambda leaf: jnp.einsum("mk,mk...->m...", changes, leaf), self.derivatives
+        )
+        return added
 
 
 @dataclass(frozen=True)
@@ -270,16 +280,7 @@ def _select_derivatives(derivatives: PathState, keep: Int[Array, " trial"]) -> P
 def _select_changes(changes: PathChanges | None, keep: Int[Array, " trial"]) -> PathChanges | None:
     if changes is None:
         return None
-    selected = Partial(_selected_paths, changes.paths, keep)
-    return eqx.tree_at(lambda tree: tree.paths, changes, selected)
-
-
-def _selected_paths(
-    paths: Callable[[Float[Array, "muscle mode"]], PathState],
-    keep: Int[Array, " trial"],
-    changes: Float[Array, "muscle mode"],
-) -> PathState:
-    return _select_paths(paths(changes), keep)
+    return replace(changes, derivatives=_select_derivatives(changes.derivatives, keep))
 
 
 def _selected_change(

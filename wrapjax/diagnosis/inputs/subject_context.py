@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import Partial
@@ -257,7 +256,7 @@ def changes_of_wraps(
     number = np.where(freed.free, np.cumsum(freed.free.ravel()).reshape(freed.free.shape) - 1, -1)
     entries = np.argwhere(freed.free)
     return PathChanges(
-        paths=Partial(_linear_paths, derivatives(moving)),
+        derivatives=derivatives(moving),
         places=np.where(freed.places[:, :, None] < 0, -1, number[freed.places]).reshape(len(wraps_of), -1),
         names=tuple(f"{freed.names[wrap]}.{freed.quantities[place]}" for wrap, place in entries),
         units=tuple(freed.units[place] for _, place in entries),
@@ -275,16 +274,12 @@ def changes_of_ends(muscles: tuple[str, ...], derivatives: PathState) -> PathCha
     count = len(muscles)
     ends = [f"{end}_{axis}_m" for end in ("origin", "insertion") for axis in "xyz"]
     return PathChanges(
-        paths=Partial(_linear_paths, derivatives),
+        derivatives=derivatives,
         places=np.arange(6 * count).reshape(count, 6),
         names=tuple(f"{muscle}.{end}" for muscle in muscles for end in ends),
         units=("m",) * (6 * count),
         prior_sd=(_ATTACHMENT_SD,) * (6 * count),
     )
-
-
-def _linear_paths(derivatives: PathState, changes: Float[Array, "muscle mode"]) -> PathState:
-    return jax.tree.map(lambda leaf: jnp.einsum("mk,mk...->m...", changes, leaf), derivatives)
 
 
 def _parameters_at_bounds(calibration: Calibration) -> tuple[AtBound, ...]:

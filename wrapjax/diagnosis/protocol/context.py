@@ -9,7 +9,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.tree_util import Partial
 from jaxtyping import Array, Float, Int
 
 from wrapjax.diagnosis.inputs.context import ChangesOfCycles, Context, PathChanges, with_changes
@@ -250,11 +249,7 @@ def at_other_speed(
 def _sped_up_changes(changes: PathChanges | None, factor: float) -> PathChanges | None:
     if changes is None:
         return None
-    return eqx.tree_at(lambda tree: tree.paths, changes, Partial(_sped_up_paths, changes.paths, factor))
-
-
-def _sped_up_paths(paths, factor, changes: Float[Array, "muscle mode"]) -> PathState:
-    return sped_up(paths(changes), factor)
+    return replace(changes, derivatives=sped_up(changes.derivatives, factor))
 
 
 def joined(parts: Sequence[tuple[Recording, Context]]) -> tuple[Recording, Context]:
@@ -317,12 +312,7 @@ def _joined_starts(splines: Sequence[EmgSpline]) -> Int[Array, "muscle cycle"] |
 
 
 def _joined_changes(parts: Sequence[PathChanges | None]) -> PathChanges | None:
-    first = parts[0]
-    if first is None or any(one is None for one in parts):
+    first, known = parts[0], [one.derivatives for one in parts if one is not None]
+    if first is None or len(known) < len(parts):
         return None
-    together = Partial(_changed_together, tuple(one.paths for one in parts if one is not None))
-    return eqx.tree_at(lambda tree: tree.paths, first, together)
-
-
-def _changed_together(parts, changes: Float[Array, "muscle mode"]) -> PathState:
-    return joined_paths([paths(changes) for paths in parts])
+    return replace(first, derivatives=joined_derivatives(known))
