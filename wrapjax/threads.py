@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
+_Other = TypeVar("_Other")
 
 
 def usable_cores() -> int:
@@ -44,3 +45,16 @@ def map_in_threads(function: Callable[[_Item], _Result], items: Sequence[_Item])
         finally:
             for future in futures:
                 future.cancel()
+
+
+def call_together(function: Callable[[], _Result], in_thread: Callable[[], _Other]) -> tuple[_Result, _Other]:
+    """Call two independent functions, the second in a thread beside the first; return both results.
+
+    One after the other where the process has one thread. An exception of either is raised once both are done,
+    that of the first before that of the second.
+    """
+    if thread_count() < 2:
+        return function(), in_thread()
+    with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(1) as pool:
+        other = pool.submit(in_thread)
+        return function(), other.result()

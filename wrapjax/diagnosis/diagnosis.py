@@ -36,6 +36,7 @@ from wrapjax.path_sources.polynomial_fit import Fit
 from wrapjax.renamed import renamed_arguments
 from wrapjax.subject.gait_alone import with_gait_alone
 from wrapjax.subject.subject import Subject
+from wrapjax.threads import call_together
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -310,7 +311,6 @@ def diagnosis_input(calibration: Calibration, without: Sequence[str] = ()) -> Di
     without
         Ids of effects to leave out of the catalogue.
     """
-    recording, context = build_context(calibration)
     subject, result = calibration.subject, calibration.result
     trials, solution = subject.trials, result.solution
     calibrated = solution.problem
@@ -319,13 +319,17 @@ def diagnosis_input(calibration: Calibration, without: Sequence[str] = ()) -> Di
     if problem.variables.modes:
         problem = _with_held_paths(problem, result)
     cache = Store.of_user("diagnoses")
-    law = fit_muscle_law(
-        problem,
-        result.parameters,
-        result.freedom.with_held_paths(),
-        result.muscles,
-        cache,
-        result.curves,
+    # OpenSim and the exact engine take one core, and compiled programs the other.
+    (recording, context), law = call_together(
+        lambda: build_context(calibration),
+        lambda: fit_muscle_law(
+            problem,
+            result.parameters,
+            result.freedom.with_held_paths(),
+            result.muscles,
+            cache,
+            result.curves,
+        ),
     )
     columns = [trials.coordinates.index(name) for name in trials.moment_coordinates]
     inside = trials.inside

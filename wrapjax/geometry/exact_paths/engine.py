@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -400,14 +400,20 @@ def surfaces_of(wraps: Sequence[WrapObject]) -> Surface:
     cylinders_only = all(wrap.kind == "WrapCylinder" for wrap in wraps)
     unrestricted = [axis == "all" for axis in axes]
     negative = [wrap.quadrant.startswith("-") for wrap in wraps]
+    lengths = [1.0 if wrap.length is None else wrap.length for wrap in wraps]
+
+    # Lists become NumPy arrays first: JAX converts them number by number.
+    def array(values: Sequence[Any], *shape: int) -> Float[Array, "wrap ..."]:
+        return jnp.asarray(np.array(values, dtype=float).reshape(-1, *shape))
+
     return Surface(
-        rotation=jnp.asarray([_rotation(wrap.xyz_body_rotation) for wrap in wraps]).reshape(-1, 3, 3),
-        center=jnp.asarray([wrap.translation for wrap in wraps]).reshape(-1, 3),
-        radius=jnp.asarray([_radius(wrap) for wrap in wraps], dtype=float),
-        length=jnp.asarray([1.0 if wrap.length is None else wrap.length for wrap in wraps], dtype=float),
-        side_axis=jnp.asarray([0 if axis == "all" else "xyz".index(axis) for axis in axes], dtype=int),
+        rotation=array([_rotation(wrap.xyz_body_rotation) for wrap in wraps], 3, 3),
+        center=array([wrap.translation for wrap in wraps], 3),
+        radius=array([_radius(wrap) for wrap in wraps]),
+        length=array(lengths),
+        side_axis=jnp.asarray(np.array([0 if axis == "all" else "xyz".index(axis) for axis in axes], int)),
         side=jnp.asarray(np.where(unrestricted, 0, np.where(negative, -1, 1)), dtype=int),
-        sizes=None if cylinders_only else jnp.asarray([_sizes(wrap) for wrap in wraps], dtype=float),
+        sizes=None if cylinders_only else array([_sizes(wrap) for wrap in wraps], 3),
     )
 
 
