@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from functools import lru_cache
+from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
@@ -18,8 +17,8 @@ from wrapjax.model.forward import Recording, apply_recording_alterations, joint_
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.muscle.curves import AbstractCurves
 
-#: Number of altered inputs that are kept while an effect is evaluated, each some megabytes.
-_KEPT_INPUTS = 6
+#: Largest number of altered inputs that are kept while an effect is evaluated, each some megabytes.
+_MOST_GROUPS = 12
 AlterationFunctions = tuple[AlterationFunction, ...]
 #: Sizes of several effects: one vector for each effect.
 SizesByEffect = tuple[Float[Array, " _"], ...]
@@ -113,10 +112,9 @@ def _changes(
     """Compute the change of the moments by each effect size alone, N m.
 
     Most parameters change few muscles, and a muscle's moment depends on its own inputs only. Parameters that
-    change different muscles are therefore evaluated together, and parameters that change none, not at all.
+    change different muscles are therefore evaluated together, and those that change none, not at all.
     """
 
-    @lru_cache(maxsize=_KEPT_INPUTS)
     def inputs_at(number: int | None) -> Inputs:
         vector = np.zeros(effects.count)
         if number is not None:
@@ -126,41 +124,55 @@ def _changes(
 
     plain = inputs_at(None)
     plain_moments, plain_sum = _muscle_moments(curves, parameters, plain)
-    evaluated: list[int] = np.flatnonzero(sizes).tolist()
-    changed = {number: np.asarray(_changed_muscles(plain, inputs_at(number))) for number in evaluated}
     result = np.zeros((effects.count, *plain_sum.shape))
-    for group in _groups_of_different_muscles(changed):
-        together = plain
-        for number in group:
-            own = inputs_at(number)
-            result[number] = _added_moment(own) - _added_moment(plain)
-            together = _with_muscles_of(together, own, changed[number])
-        if changed[group[0]].any():
-            difference = np.asarray(_muscle_moments(curves, parameters, together)[0] - plain_moments)
-            for number in group:
-                result[number] += difference[changed[number]].sum(axis=0)
+
+    def evaluate(group: _Group) -> None:
+        difference = np.asarray(_muscle_moments(curves, parameters, group.inputs)[0] - plain_moments)
+        for number, muscles in group.changed.items():
+            result[number] += difference[muscles].sum(axis=0)
+
+    groups: list[_Group] = []
+    for number in np.flatnonzero(sizes).tolist():
+        own = inputs_at(number)
+        result[number] = _added_moment(own) - _added_moment(plain)
+        muscles = np.asarray(_changed_muscles(plain, own))
+        if not muscles.any():
+            continue
+        place = next((place for place, one in enumerate(groups) if not (one.taken & muscles).any()), None)
+        if place is not None:
+            groups[place] = groups[place].joined(number, own, muscles)
+        else:
+            groups.append(_Group(own, {number: muscles}))
+            if len(groups) > _MOST_GROUPS:
+                evaluate(groups.pop(int(np.argmax([one.taken.sum() for one in groups]))))
+    for group in groups:
+        evaluate(group)
     return result
 
 
-def _groups_of_different_muscles(
-    changed: Mapping[int, Bool[np.ndarray, " muscle"]],
-) -> list[list[int]]:
-    """Group parameters, by their numbers, that change different muscles; those that change none are alone."""
-    groups: list[list[int]] = []
-    taken: list[Bool[np.ndarray, " muscle"]] = []
-    for number, muscles in changed.items():
-        place = next(
-            (place for place, other in enumerate(taken) if muscles.any() and not (other & muscles).any()),
-            None,
-        )
-        if place is None:
-            groups.append([number])
-            # Nothing joins a parameter that changes no muscle.
-            taken.append(muscles.copy() if muscles.any() else ~muscles)
-        else:
-            groups[place].append(number)
-            taken[place] |= muscles
-    return groups
+@dataclass(frozen=True)
+class _Group:
+    """Parameters that change different muscles, which are evaluated together.
+
+    Parameters
+    ----------
+    inputs
+        Inputs of the forward model with all of them.
+    changed
+        Whether each muscle's inputs are changed, by the number of the parameter.
+    """
+
+    inputs: Inputs
+    changed: dict[int, Bool[np.ndarray, " muscle"]]
+
+    @property
+    def taken(self) -> Bool[np.ndarray, " muscle"]:
+        """Whether any of the parameters changes a muscle."""
+        return np.any(list(self.changed.values()), axis=0)
+
+    def joined(self, number: int, inputs: Inputs, muscles: Bool[np.ndarray, " muscle"]) -> _Group:
+        """Add a parameter that changes other muscles, which have these inputs with it."""
+        return _Group(_with_muscles_of(self.inputs, inputs, muscles), {**self.changed, number: muscles})
 
 
 # Programs that take long to compile receive EMG, paths and moments as changed by the effects, and not the
