@@ -18,7 +18,7 @@ from wrapjax.model.parameters import ModelParameters
 from wrapjax.muscle.curves import AbstractCurves
 
 #: Largest number of altered inputs that are kept while an effect is evaluated, each some megabytes.
-_MOST_GROUPS = 12
+_MOST_GROUPS = 6
 AlterationFunctions = tuple[AlterationFunction, ...]
 #: Sizes of several effects: one vector for each effect.
 SizesByEffect = tuple[Float[Array, " _"], ...]
