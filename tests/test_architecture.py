@@ -26,7 +26,7 @@ ARROWS: dict[str, set[str]] = {
     "subject": {"errors", "progress", "io"},
     "skeleton": {"errors"},
     "osim": {"errors", "progress", "threads", "io", "skeleton"},
-    "geometry": {"errors", "skeleton"},
+    "geometry": {"errors", "threads", "skeleton"},
     "muscle": set(),
     "model": {"geometry", "muscle"},
     "path_sources": {
