@@ -16,6 +16,7 @@ import scipy.linalg
 from jaxtyping import Float, Int
 
 from wrapjax.diagnosis.null_hypotheses.error_sources import InputErrors, Matrix, block_diagonal, input_blocks
+from wrapjax.threads import map_in_threads
 
 #: Sizes of the input errors that are tried, relative to the expected size.
 INPUT_SHARES = (0.0, 0.35, 0.7, 1.0, 1.5, 2.2)
@@ -105,7 +106,9 @@ def cycle_noise(
     if not len(deviations):
         raise ValueError(f"cycles at each speed: {counts.tolist()}; noise needs two cycles at one speed")
     blocks = [input_blocks(errors)[repeated] for errors in inputs]
-    fits = [_fit(deviations, blocks, shares) for shares in product(INPUT_SHARES, repeat=len(blocks))]
+    fits = map_in_threads(
+        lambda shares: _fit(deviations, blocks, shares), list(product(INPUT_SHARES, repeat=len(blocks)))
+    )
     return max(fits, key=lambda one: one[0])[1]
 
 
