@@ -160,9 +160,9 @@ def analyse_mechanics(
     parents = _parents(model)
     child = {name: joint.getChildFrame().findBaseFrame().getName() for name, joint in joints.items()}
     columns = [mover.column(entries[name]) for name in coordinates]
-    rows = [names.index(child[name]) for name in coordinates]
+    children = [names.index(child[name]) for name in coordinates]
 
-    count, axes = motion.values.shape[1], 6 * np.array(index)[:, None] + np.arange(6)
+    count, rows_of = motion.values.shape[1], 6 * np.array(index)[:, None] + np.arange(6)
     of_all_bodies, bias_of_all_bodies = opensim.Matrix(), opensim.Vector()
     jacobian = np.zeros((count, len(coordinates), 6))
     center = np.zeros((count, len(coordinates), 3))
@@ -175,9 +175,9 @@ def analyse_mechanics(
         matter.calcSystemJacobian(state, of_all_bodies)
         matter.calcBiasForSystemJacobian(state, bias_of_all_bodies)
         all_rows, bias = of_all_bodies.to_numpy(), bias_of_all_bodies.to_numpy()
-        jacobian[pose] = all_rows[axes[rows], np.array(columns)[:, None]]
-        spin[pose] = (all_rows @ state.getU().to_numpy())[axes[:, :3]]
-        accelerations[pose] = (all_rows @ rates + bias)[axes]
+        jacobian[pose] = all_rows[rows_of[children], np.array(columns)[:, None]]
+        spin[pose] = (all_rows @ state.getU().to_numpy())[rows_of[:, :3]]
+        accelerations[pose] = (all_rows @ rates + bias)[rows_of]
         for place, frame in enumerate(frames):
             center[pose, place] = frame.getPositionInGround(state).to_numpy()
         for place, body in enumerate(bodies):
@@ -187,7 +187,7 @@ def analyse_mechanics(
             origin[pose, place] = transform.p().to_numpy()
     rotation = Rotation.from_quat(quaternion.reshape(-1, 4)).as_matrix().reshape(count, len(bodies), 3, 3)
 
-    at = origin[:, [names.index(child[name]) for name in coordinates]]
+    at = origin[:, children]
     turning = jacobian[..., :3]
     screw = np.concatenate([turning, jacobian[..., 3:] - np.cross(turning, at)], axis=-1)
     gravity = model.getGravity().to_numpy()
