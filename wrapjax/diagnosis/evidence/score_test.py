@@ -175,32 +175,32 @@ def _score_candidate(
     count, variants = len(candidate.prior_sd), len(candidate.variants)
     hypotheses = [(variant, *one) for variant in range(variants) for one in candidate.hypotheses]
     scaled_sd = np.array([candidate.scaled_prior_sd(factor) for factor in PRIOR_FACTORS])
-    results, weighted, detectability = [], [], []
+    weighted, posteriors, detectabilities = [], [], []
     for variant, part, share in hypotheses:
         inside = np.array(part)
         columns = first + count * variant + inside
-        results.append(
-            effect_evidence(
-                np.stack([one.slope[:, columns] for one in projections])[:, None],
-                np.stack([one.information[np.ix_(columns, columns)] for one in projections])[:, None],
-                scaled_sd[:, inside],
-                candidate.one_sided[inside],
-            )
+        # Axes: null, factor, then those of each.
+        of_part, sizes, sd, detectability = effect_evidence(
+            np.stack([one.slope[:, columns] for one in projections])[:, None],
+            np.stack([one.information[np.ix_(columns, columns)] for one in projections])[:, None],
+            scaled_sd[:, inside],
+            candidate.one_sided[inside],
         )
-        weighted.append(results[-1][0] + np.log(share / variants / len(PRIOR_FACTORS)))
-        detectability.append(results[-1][3] / PRIOR_FACTORS)
+        weighted.append(of_part + np.log(share / variants / len(PRIOR_FACTORS)))
+        posteriors.append((sizes, sd))
+        detectabilities.append(detectability / PRIOR_FACTORS)
     of_hypotheses = np.concatenate(weighted, axis=1)
     joint = weights + logsumexp(of_hypotheses, axis=1)
     evidence = logsumexp(joint, axis=0) - logsumexp(weights, axis=0)
     # Detectability is that under the most plausible null without any effect.
-    of_nulls = np.concatenate(detectability, axis=1).max(axis=1)[np.argmax(weights, axis=0)]
+    of_nulls = np.concatenate(detectabilities, axis=1).max(axis=1)[np.argmax(weights, axis=0)]
     limit = np.broadcast_to(candidate.limit, count)
     scores = []
     for sample, null in enumerate(np.argmax(joint, axis=0)):
         best = int(np.argmax(of_hypotheses[null, :, sample]))
         number, factor = divmod(best, len(PRIOR_FACTORS))
         variant, part, _ = hypotheses[number]
-        _, sizes, sd, _ = results[number]
+        sizes, sd = posteriors[number]
         inside = np.array(part)
         all_sizes, all_sd = np.zeros(count), np.zeros(count)
         # A normal posterior has no limits.
